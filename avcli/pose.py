@@ -103,8 +103,9 @@ def camera_pose(position: ArrayLike, rotation_deg: ArrayLike) -> np.ndarray:
     up = +y.
     """
     pitch, yaw, roll = np.deg2rad(np.asarray(rotation_deg, float))
-    rotation = _R_ROOM_UPRIGHT @ _about_y(yaw) @ _about_x(-pitch) @ _about_z(-roll)
-    return transform(_without_rounding(rotation), position)
+    rotation = _R_ROOM_UPRIGHT @ _about(1, yaw) @ _about(0, -pitch) @ _about(2, -roll)
+    # Without the 6e-17 that cos(90 deg) leaves a ceiling camera's axes are the room's exactly.
+    return transform(np.where(np.abs(rotation) < 1e-15, 0.0, rotation), position)
 
 
 def camera_rotation_deg(T_room_camera: np.ndarray) -> np.ndarray:
@@ -116,26 +117,15 @@ def camera_rotation_deg(T_room_camera: np.ndarray) -> np.ndarray:
     horizontal = np.hypot(rotation[0, 2], rotation[2, 2])
     pitch = np.arctan2(rotation[1, 2], horizontal)
     yaw = np.arctan2(rotation[0, 2], rotation[2, 2]) if horizontal > 1e-9 else 0.0
-    rolled = _about_y(-yaw) @ rotation
+    rolled = _about(1, -yaw) @ rotation
     roll = np.arctan2(rolled[0, 1], rolled[0, 0])
     return np.rad2deg(np.array([pitch, yaw, roll])) + 0.0
 
 
-def _about_x(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _about_y(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _about_z(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _without_rounding(rotation: np.ndarray) -> np.ndarray:
-    """Set the 6e-17 that cos(90 deg) leaves to 0, so that a ceiling camera's axes are the room's exactly."""
-    return np.where(np.abs(rotation) < 1e-15, 0.0, rotation)
+def _about(axis: int, angle: float) -> np.ndarray:
+    """The turn (3, 3) about an axis by an angle, rad."""
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    turn: np.ndarray = np.eye(3)
+    turn[one, one] = turn[other, other] = np.cos(angle)
+    turn[one, other], turn[other, one] = -np.sin(angle), np.sin(angle)
+    return turn

@@ -1,7 +1,6 @@
 """A real browser for the tests of pages."""
 
 import atexit
-import base64
 import functools
 import json
 import os
@@ -113,13 +112,6 @@ class Browser:
     def touch(self, x, y):
         self.send("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
         self.send("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
-
-    def screenshot(self, path):
-        height = self.run("document.documentElement.scrollHeight")
-        width = self.run("innerWidth")
-        self.size(width, height)
-        content = self.send("Page.captureScreenshot", format="png")["data"]
-        path.write_bytes(base64.b64decode(content))
 
     def complaints(self, own="file:"):
         """Errors of the page, and whatever it tried to load from elsewhere."""

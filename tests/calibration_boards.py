@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -211,6 +212,25 @@ def photographs(
         photograph(R, t, rng, lens=lens, size=size, board=board, blur=blur, oversample=oversample)
         for R, t in zip(filmed.rotations, filmed.translations, strict=True)
     ]
+
+
+def jpeg(picture: np.ndarray) -> bytes:
+    """A picture as a JPEG of good quality."""
+    import cv2
+
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
+
+
+def write_film(path: Path, pictures: Sequence[np.ndarray], each: int = 1, fps: float = 2.0) -> Path:
+    """Write grey pictures of HALF_SIZE as a video (MJPG), `each` frames of every one; return its path."""
+    import cv2
+
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), fps, HALF_SIZE)
+    for picture in pictures:
+        for _ in range(each):
+            writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
 
 
 def _squares(column: np.ndarray, row: np.ndarray, board: Board) -> np.ndarray:

@@ -68,6 +68,20 @@ def run(
     return result
 
 
+def done(*command, **more) -> subprocess.CompletedProcess:
+    """Run a command, as `run` does, that must end well."""
+    ended = run(*command, **more)
+    assert ended.returncode == 0, ended.stderr
+    return ended
+
+
+def refused(ended: subprocess.CompletedProcess, *words: str, status: int = 1) -> subprocess.CompletedProcess:
+    """Check that a command ended with this status and one line that has these words; return it."""
+    assert (ended.returncode, ended.stderr.count("\n")) == (status, 1), ended.stderr
+    assert all(word in ended.stderr for word in words), ended.stderr
+    return ended
+
+
 def run_experiment(directory: Path, *scene: object) -> None:
     """Run one scenario by all three modalities into a directory, as `make` does; `scene` is what avsim-scene gets."""
     for folder in ("localization", "tracking"):

@@ -205,10 +205,8 @@ def test_the_equations_of_statistics_are_wrong_for_image_sources():
         assert np.mean(decay_times(ROOM, absorption, rt60, 8, 16000)) == pytest.approx(found, rel=0.05)
 
 
-def test_walls_of_different_weight_and_times_that_are_impossible():
-    weights = np.array([1, 1, 1, 1, 3, 0.5])
-    absorption = decay.image_absorption(ROOM, 0.4, weights)
-    np.testing.assert_allclose(absorption / absorption[0], weights)
+def test_times_that_are_impossible():
+    absorption = decay.image_absorption(ROOM, 0.4)
     assert decay.image_rt60(ROOM, absorption) == pytest.approx(0.4, rel=0.02)
     assert decay.image_rt60(ROOM, absorption, 171.5) == pytest.approx(0.8, rel=0.02)
     with pytest.raises(ValueError, match="too short for this room"):
@@ -221,11 +219,7 @@ def test_sabine_by_hand():
     alpha = walls.sabine_absorption(ROOM, 0.35)
     np.testing.assert_allclose(alpha, 0.301632, atol=1e-6)
     np.testing.assert_allclose(np.sqrt(1 - alpha), BETA, atol=1e-6)
-    assert walls.minimum_rt60(ROOM) == pytest.approx(0.105571, abs=1e-6)
     assert walls.sabine_rt60(ROOM, alpha) == pytest.approx(0.35)
-    weighted = walls.sabine_absorption(ROOM, 0.35, [1, 1, 1, 1, 2, 0.5])
-    assert walls.sabine_rt60(ROOM, weighted) == pytest.approx(0.35)
-    np.testing.assert_allclose(weighted / weighted[0], [1, 1, 1, 1, 2, 0.5])
     with pytest.raises(ValueError, match=r"the shortest is 0\.1056 s"):
         walls.sabine_absorption(ROOM, 0.1)
     assert (walls.eyring_absorption(ROOM, 0.1) < 1).all()

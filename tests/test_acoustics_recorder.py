@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import run
+from conftest import done
 from hypothesis import given
 from hypothesis import settings as hypotheses
 from hypothesis import strategies as st
@@ -74,8 +74,7 @@ def test_the_sound_is_that_of_the_command(tmp_path, noise):
         + "\n"
         for moment in SCENE
     )
-    result = run("avsim-audio", "-C", tmp_path, *noise, stdin=truth)
-    assert result.returncode == 0, result.stderr
+    result = done("avsim-audio", "-C", tmp_path, *noise, stdin=truth)
     record = json.loads(result.stdout)["audio"]
     settings = Settings(sensor_noise_db=40.0, room_noise_db=30.0) if noise else None
     sound = hear(CONFIG, SCENE, seed=3 if noise else 0, settings=settings)

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from calibration_boards import BOARD, HALF, HALF_SIZE, film, photograph, photographs
-from conftest import run
+from conftest import done, refused, run
 
 from avcli import pose
 from avcli.calibration import corners, place
@@ -28,8 +28,7 @@ def pictures(tmp_path_factory):
 
 def test_pictures_in_a_lens_out(pictures, tmp_path):
     details = tmp_path / "details.jsonl"
-    result = run("avcalib", "calibrate", pictures, "--board", "6x8", "--details", details)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", pictures, "--board", "6x8", "--details", details)
     camera = json.loads(result.stdout)
     assert camera["lens_model"] == "kannala_brandt"
     assert camera["fx_px"] == pytest.approx(HALF.fx, abs=1.0)
@@ -46,8 +45,7 @@ def test_pictures_in_a_lens_out(pictures, tmp_path):
 def test_into_a_config_that_has_other_things(pictures, tmp_path):
     config = tmp_path / "config.json"
     config.write_text('{"session_id":"a","camera_config":{"camera_position_m":[1,2,2.5],"fx_px":1,"fy_px":1}}')
-    result = run("avcalib", "calibrate", pictures, "-C", tmp_path)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", pictures, "-C", tmp_path)
     assert result.stdout == b""
     raw = json.loads(config.read_text())
     assert raw["session_id"] == "a"
@@ -57,19 +55,13 @@ def test_into_a_config_that_has_other_things(pictures, tmp_path):
 
 def test_into_an_experiment_that_is_new(pictures, tmp_path):
     lab = tmp_path / "lab"
-    result = run("avcalib", "calibrate", pictures, "-C", lab)
-    assert result.returncode == 0, result.stderr
+    done("avcalib", "calibrate", pictures, "-C", lab)
     raw = json.loads((lab / "config.json").read_text())
     assert list(raw) == ["camera_config"]
     assert raw["camera_config"]["fx_px"] == pytest.approx(HALF.fx, abs=1.0)
     assert [path.name for path in lab.iterdir()] == ["config.json"]
     straight = tmp_path / "straight.png"
     assert run("avcalib", "undistort", pictures / "board_00.png", "-C", lab, "--to", straight).returncode == 0
-
-
-def test_inner_corners_for_squares_are_recognised(pictures):
-    result = run("avcalib", "calibrate", *sorted(pictures.iterdir())[:4], "--board", "5x7")
-    assert "a board of 6x8 squares" in result.stderr
 
 
 def test_too_few_pictures_are_refused(pictures, tmp_path):
@@ -99,14 +91,7 @@ def test_too_few_pictures_are_refused(pictures, tmp_path):
 )
 def test_options_without_effect_are_refused_by_name(pictures, camera, options, name):
     places = {"{}": pictures, "CAMERA": camera}
-    result = run("avcalib", *(places.get(option, option) for option in options))
-    assert result.returncode == 2
-    assert name in result.stderr
-    assert result.stderr.count("\n") == 1
-
-
-def test_what_a_preset_sets_is_not_refused(pictures):
-    assert "no effect" not in run("avcalib", "calibrate", pictures, "--preset", "thesis").stderr
+    refused(run("avcalib", *(places.get(option, option) for option in options)), name, status=2)
 
 
 def test_bad_input(pictures, tmp_path):
@@ -115,9 +100,7 @@ def test_bad_input(pictures, tmp_path):
     assert run("avcalib", "calibrate", pictures, "--board", "6:8").returncode == 2
     broken = tmp_path / "film.mp4"
     broken.write_bytes(b"this is no film" * 100)
-    result = run("avcalib", "calibrate", broken)
-    assert result.returncode == 1
-    assert result.stderr.count("\n") == 1
+    refused(run("avcalib", "calibrate", broken))
     empty = tmp_path / "empty.mp4"
     empty.touch()
     assert run("avcalib", "calibrate", empty).returncode == 1
@@ -142,8 +125,7 @@ def test_the_thesis_procedure_on_its_own_kind_of_set(pictures):
 
 
 def test_real_photographs(shared_data):
-    result = run("avcalib", "calibrate", shared_data / "calibration" / "fish_1", "--board", "7x9", "--square", "30")
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", shared_data / "calibration" / "fish_1", "--board", "7x9", "--square", "30")
     camera = json.loads(result.stdout)
     quality = camera["calibration"]
     assert quality["views_used"] == 15
@@ -158,8 +140,7 @@ def test_real_photographs(shared_data):
 def camera(pictures, tmp_path_factory):
     """What `avcalib calibrate` wrote for these pictures."""
     path = tmp_path_factory.mktemp("camera") / "camera.json"
-    result = run("avcalib", "calibrate", pictures, "-q", "-o", path)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", pictures, "-q", "-o", path)
     assert result.stderr == ""
     return path
 
@@ -169,8 +150,7 @@ def test_a_report_in_pictures(pictures, tmp_path):
     plot, page, folder = tmp_path / "report.svg", tmp_path / "report.html", tmp_path / "boards"
     shutil.copytree(pictures, folder)
     (folder / "board_00.png").rename(folder / "board_00.png\udce9.png")  # no UTF-8
-    result = run("avcalib", "calibrate", folder, "--plot", plot, "--html", page)
-    assert result.returncode == 0, result.stderr
+    done("avcalib", "calibrate", folder, "--plot", plot, "--html", page)
     assert "board_00.png\ufffd.png" in page.read_text()
     assert "expected error of the projection" in plot.read_text()
     text = page.read_text()
@@ -186,8 +166,7 @@ def test_a_report_in_pictures(pictures, tmp_path):
 
 def test_check_scores_new_pictures(pictures, camera, tmp_path):
     some = sorted(pictures.iterdir())[:3]
-    result = run("avcalib", "check", camera, *some, "--fail-over", "0.1")
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "check", camera, *some, "--fail-over", "0.1")
     score = json.loads(result.stdout)
     assert score["views"] == 3
     assert score["rms_px"] < 0.05
@@ -208,8 +187,7 @@ def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
 
     source = sorted(pictures.iterdir())[0]
     out = tmp_path / "straight.png"
-    result = run("avcalib", "undistort", source, "-c", camera, "--to", out, "--fov", "110", "--size", "1600x900")
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "undistort", source, "-c", camera, "--to", out, "--fov", "110", "--size", "1600x900")
     assert json.loads(result.stdout)["lens_model"] == "brown_conrady"
     found = corners.find(cv2.imread(str(out), 0), BOARD)
     for row in found.pixels.reshape(7, 5, 2):
@@ -217,13 +195,9 @@ def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
         off = centred @ np.linalg.svd(centred)[2][1]
         assert np.abs(off).max() < 0.3
     folder = tmp_path / "all"
-    result = run("avcalib", "undistort", pictures, "-c", camera, "--to", folder, "--projection", "whole")
-    assert result.returncode == 0, result.stderr
+    done("avcalib", "undistort", pictures, "-c", camera, "--to", folder, "--projection", "whole")
     assert len(list(folder.iterdir())) == 8
-    result = run(
-        "avcalib", "undistort", source, "-c", camera, "--to", tmp_path / "a.avi", "--projection", "cylindrical"
-    )
-    assert result.returncode == 0, result.stderr
+    done("avcalib", "undistort", source, "-c", camera, "--to", tmp_path / "a.avi", "--projection", "cylindrical")
     assert (tmp_path / "a.avi").stat().st_size > 1000
     assert len(list(tmp_path.iterdir())) == 3
     assert footage.frame_rate(str(tmp_path / "a.avi")) == 10.0
@@ -239,8 +213,7 @@ def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
     assert kept == (film.read_bytes(), (folder / source.with_suffix(".png").name).read_bytes())
     other = tmp_path / "other.png"
     cv2.imwrite(str(other), np.zeros((90, 160), np.uint8))
-    result = run("avcalib", "undistort", other, source, "-c", camera, "--to", tmp_path / "some")
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "undistort", other, source, "-c", camera, "--to", tmp_path / "some")
     assert "other.png: 160 × 90 px" in result.stderr
     assert [path.name for path in (tmp_path / "some").iterdir()] == [source.name]
     result = run("avcalib", "undistort", other, "-c", camera, "--to", tmp_path / "none")
@@ -250,9 +223,7 @@ def test_straightened_boards_have_straight_rows(pictures, camera, tmp_path):
 
 
 def test_a_camera_that_is_missing_has_no_page():
-    result = run("avcalib", "live", "9876", "--port", "18987")
-    assert result.returncode == 2
-    assert "/dev/video9876: no such camera" in result.stderr
+    result = refused(run("avcalib", "live", "9876", "--port", "18987"), "/dev/video9876: no such camera", status=2)
     assert "open http" not in result.stderr
 
 
@@ -282,8 +253,7 @@ def test_where_the_camera_hangs(camera, tmp_path):
     rows = [",".join(map(str, [*u, *p])) for u, p in zip(pixels, room, strict=True)]
     table.write_text("u,v,x,y,z\n" + "\n".join(rows))
     out = tmp_path / "placed.json"
-    result = run("avcalib", "pose", "--points", table, "-c", camera, "-o", out)
-    assert result.returncode == 0, result.stderr
+    done("avcalib", "pose", "--points", table, "-c", camera, "-o", out)
     placed = json.loads(out.read_text())
     again = pose.camera_pose(placed["camera_position_m"], placed["camera_rotation_deg"])
     assert np.abs(again - T).max() < 0.01
@@ -319,21 +289,8 @@ def test_points_whose_axes_are_exchanged_put_no_camera_below_the_floor(tmp_path,
 
 @pytest.mark.parametrize("kind", ["svg", "pdf"])
 def test_targets(tmp_path, kind):
-    result = run("avcalib", "target", "--kind", "charuco", "--format", kind)
-    assert result.returncode == 0
+    result = done("avcalib", "target", "--kind", "charuco", "--format", kind)
     out = tmp_path / f"board.{kind}"
     assert run("avcalib", "target", "--kind", "charuco", "-o", out).returncode == 0
     assert out.read_bytes() == result.stdout
     assert run("avcalib", "target", "--square", "90", "--paper", "A4").returncode == 2
-
-
-def test_a_board_on_stdin_as_jpegs(pictures):
-    import cv2
-
-    stream = b"".join(
-        cv2.imencode(".jpg", cv2.imread(str(path), 0), [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
-        for path in sorted(pictures.iterdir())
-    )
-    result = run("avcalib", "calibrate", "-", stdin=stream)
-    assert result.returncode == 0, result.stderr
-    assert json.loads(result.stdout)["fx_px"] == pytest.approx(HALF.fx, abs=1.5)

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import orjson
 import pytest
-from conftest import BIN
+from conftest import BIN, refused
 from forked import run_forked
 
 from avcli.formats import atomic, footage, media, records
@@ -30,11 +30,6 @@ def config(tmp_path, **changes):
     path = tmp_path / "config.json"
     path.write_bytes(orjson.dumps(raw))
     return path
-
-
-def refused(ended, *words, status=1):
-    assert (ended.returncode, ended.stderr.count("\n")) == (status, 1), ended.stderr
-    assert all(word in ended.stderr for word in words), ended.stderr
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -319,13 +314,6 @@ def test_only_a_file_is_replaced(tmp_path):
             pass
     assert pipe.is_fifo()
     assert os.listdir(tmp_path) == ["pipe"]
-
-
-def test_two_outputs_of_one_name_are_refused(tmp_path):
-    same = tmp_path / "same.jsonl"
-    ended = run_forked("avfuse", "-o", same, "--explain", same, stdin=DETECTION)
-    refused(ended, "same.jsonl: two outputs have the same name", status=2)
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

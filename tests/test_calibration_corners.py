@@ -166,26 +166,6 @@ def test_a_large_picture_and_its_small_copy_agree():
     assert error(found.pixels, exact(filmed, lens=large).pixels) < 0.1
 
 
-def test_half_a_charuco_board_is_enough():
-    rng = np.random.default_rng(5)
-    board = Board(7, 10, 0.06, kind="charuco")
-    filmed = film(
-        6, rng, lens=HALF, size=HALF_SIZE, board=board, whole=False, distance=(0.3, 0.5), tilt=0.4,
-        aim=((480, 270), 250),
-    )  # fmt: skip
-    partial = 0
-    for R, t in zip(filmed.rotations, filmed.translations, strict=True):
-        view = corners.find(
-            photograph(R, t, rng, lens=HALF, size=HALF_SIZE, board=board, blur=0.5, oversample=2), board
-        )
-        if view is None:
-            continue
-        partial += len(view.ids) < len(board.points)
-        true = HALF.project(np.column_stack([board.points, np.zeros(len(board.points))])[view.ids] @ R.T + t)
-        assert np.sqrt(((view.pixels - true) ** 2).mean()) < 0.15
-    assert partial >= 2
-
-
 def test_a_duplicate_is_recognised(shots):
     views = [corners.find(picture, BOARD) for picture in shots[1]]
     turned = corners.view_of(shots[1][0], views[0].ids, views[0].pixels[::-1] + 0.2)

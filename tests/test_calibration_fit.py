@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_boards import BOARD, FLAT, THESIS, exact, field_error, film
+from calibration_boards import BOARD, THESIS, exact, field_error, film
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avcli.calibration import field, fit, opencv, quality, robust
-from avcli.calibration.target import Board
 from avcli.lens import KannalaBrandt
 
 SIZE = (1920, 1080)
@@ -201,19 +200,6 @@ def test_square_size_turned_boards_and_shifted_pictures(scale, shift, turned):
     assert np.allclose(distance, scale, rtol=1e-4)
 
 
-def test_a_mirrored_camera_has_the_same_focal_length(forty):
-    mirrored = fit.Observations(
-        forty.view,
-        forty.points,
-        np.column_stack([1919 - forty.pixels[:, 0], forty.pixels[:, 1]]),
-        forty.sigma,
-        forty.half_extent,
-    )
-    plain, flipped = calibrated(forty)[0], calibrated(mirrored)[0]
-    assert flipped.parameters[0] == pytest.approx(plain.parameters[0], abs=1e-3)
-    assert flipped.parameters[2] == pytest.approx(1919 - plain.parameters[2], abs=1e-3)
-
-
 # --- what cannot be calibrated ----------------------------------------------------------------------------------------
 
 
@@ -275,8 +261,3 @@ def test_the_thesis_procedure_drops_pictures_above_its_limit():
     assert not kept[4]
     assert kept.sum() >= 10
     assert np.isfinite(solution.covariance).all()
-
-
-def test_flat_board_means_flat():
-    assert np.allclose(fit.surface(BOARD.points, FLAT, BOARD.half_extent)[:, 2], 0)
-    assert Board(6, 8).inner == (5, 7)

@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pytest
-from calibration_boards import HALF, HALF_SIZE, film, photographs
-from conftest import run
+from calibration_boards import HALF, HALF_SIZE, film, jpeg, photographs, write_film
+from conftest import done, refused, run
 
 from avcli.calibration import gather, place
 from avcli.calibration.target import Board
@@ -22,12 +22,6 @@ BOARD = Board(6, 9, 0.07)
 def shots():
     rng = np.random.default_rng(11)
     return photographs(film(8, rng, lens=HALF, size=HALF_SIZE, board=BOARD), rng, board=BOARD)
-
-
-def jpeg(picture, quality=97):
-    import cv2
-
-    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 @pytest.fixture
@@ -52,8 +46,7 @@ def test_a_folder_as_a_phone_leaves_it(folder, shots, tmp_path):
     (folder / "more").mkdir()
     shutil.copy(folder / "IMG_0.JPG", folder / "more")
     details = tmp_path / "details.jsonl"
-    result = run("avcalib", "calibrate", folder, "--details", details)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", folder, "--details", details)
     assert json.loads(result.stdout)["fx_px"] == pytest.approx(HALF.fx, abs=1.5)
     for name, why in (
         ("a_screenshot.png", "400 × 300 px"),
@@ -90,12 +83,7 @@ def test_the_commonest_size_wins_whatever_comes_first(shots):
 
 
 def test_films_and_pictures_in_one_folder(shots, tmp_path):
-    import cv2
-
-    writer = cv2.VideoWriter(str(tmp_path / "b.AVI"), cv2.VideoWriter.fourcc(*"MJPG"), 2.0, HALF_SIZE)
-    for shot in shots[4:]:
-        writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    write_film(tmp_path / "b.AVI", shots[4:])
     (tmp_path / "c.mp4").write_bytes(b"no film" * 100)
     for number, shot in enumerate(shots[:4]):
         write_png(tmp_path / f"a{number}.png", shot)
@@ -104,20 +92,13 @@ def test_films_and_pictures_in_one_folder(shots, tmp_path):
     assert [picture.image.shape[:2] for picture in found] == [HALF_SIZE[::-1]] * 8
     assert len(said) == 1
     assert "c.mp4" in said[0]
-    result = run("avcalib", "calibrate", tmp_path)
-    assert result.returncode == 0, result.stderr
+    done("avcalib", "calibrate", tmp_path)
 
 
 def test_a_film_that_is_decoded_whole_is_read_until_it_is_enough(shots, tmp_path, monkeypatch):
-    import cv2
-
     from avcli.commands import avcalib_pictures
 
-    name = str(tmp_path / "few.avi")
-    writer = cv2.VideoWriter(name, cv2.VideoWriter.fourcc(*"MJPG"), 2.0, HALF_SIZE)
-    for shot in shots:
-        writer.write(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    name = str(write_film(tmp_path / "few.avi", shots))
     assert footage.is_decoded_whole([name], 2.0, 4)  # no thirty pictures are quick to reach
     assert not footage.is_decoded_whole([name], 2.0, 8)
     assert not footage.is_decoded_whole([str(tmp_path)], 2.0, 8)
@@ -147,8 +128,7 @@ def test_folders_without_pictures(tmp_path, folder):
     result = run("avcalib", "calibrate", tmp_path / "nested")
     assert (result.returncode, result.stderr.count("\n")) == (1, 1)
     assert "left: a folder in a folder is not read; name it" in result.stderr
-    result = run("avcalib", "calibrate", empty, folder)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", empty, folder)
     assert f"left out: {empty}: no pictures in this folder" in result.stderr
 
 
@@ -158,16 +138,15 @@ def test_a_name_that_is_no_text(folder, tmp_path):
 
     os.rename(folder / "IMG_0.JPG", os.fsencode(folder) + b"/IMG_\xff.JPG")
     details = tmp_path / "details.jsonl"
-    result = run("avcalib", "calibrate", folder, "--details", details)
-    assert result.returncode == 0, result.stderr
+    done("avcalib", "calibrate", folder, "--details", details)
     assert len(details.read_text().splitlines()) == 8
 
 
 def test_a_stream_is_not_thinned_by_count(shots):
     """Pictures that were taken seconds apart come at once when they are piped; none is lost."""
     stream = b"".join(map(jpeg, shots))
-    result = run("avcalib", "calibrate", "-", stdin=stream)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "calibrate", "-", stdin=stream)
+    assert json.loads(result.stdout)["fx_px"] == pytest.approx(HALF.fx, abs=1.5)
     assert "8 of 8 pictures" in result.stderr
     result = run("avcalib", "calibrate", "-", "--rate", "0.01", stdin=stream)
     assert result.returncode == 3
@@ -216,8 +195,7 @@ def test_a_pose_that_cannot_be_is_refused(shots, tmp_path):
     assert "the lens, the size of the pictures or the board is another one" in result.stderr
     assert json.loads(result.stdout)["off_deg"] > 0.12
     result = run("avcalib", "pose", tmp_path / "0.png", "-c", config, "--at", "1", "1", "0")
-    assert result.returncode == 2
-    assert "--square MM is needed" in result.stderr
+    refused(result, "--square MM is needed", status=2)
     right = lens | {"fx_px": HALF.fx, "fy_px": HALF.fy, "cx_px": HALF.cx, "cy_px": HALF.cy}
     config.write_text(json.dumps({"camera_config": right}))
     rng = np.random.default_rng(0)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import run
+from conftest import done, run
 
 from avcli.calibration import installation
 from avcli.formats.experiment import Config
@@ -97,8 +97,7 @@ def test_pictures_and_sound_must_agree(tmp_path):
 def test_the_command(tmp_path):
     config = tmp_path / "config.json"
     config.write_text(json.dumps(WHOLE))
-    result = run("avcalib", "check", tmp_path)
-    assert result.returncode == 0, result.stderr
+    result = done("avcalib", "check", tmp_path)
     assert json.loads(result.stdout)["pose"]["state"] == "measured"
     config.write_text(json.dumps({**WHOLE, "microphone_config": None}))
     result = run("avcalib", "check", config)

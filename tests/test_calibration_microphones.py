@@ -330,8 +330,7 @@ def test_what_is_wrong_with_channels_goes_into_config_and_detection_puts_it_righ
 
 
 @pytest.mark.parametrize(
-    ("channels", "words"),
-    [([{"channel": 1}], "a list of 8"), ([{"channel": 1}] * 8, "each channel from 1 to 8 once")],
+    ("channels", "words"), [([{"channel": 1}], "a list of 8"), ([{"channel": 1}] * 8, "each channel from 1 to 8 once")]
 )
 def test_channels_in_config_that_make_no_sense_are_refused(channels, words):
     raw = {"microphone_config": {"mic_positions_m": MICROPHONES.tolist(), "channels": channels}}

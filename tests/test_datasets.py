@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 import soundfile
-from conftest import run
+from conftest import done, run
 from forked import run_forked
 from localization_rooms import MICROPHONES, heard, voice
 
@@ -73,8 +73,7 @@ def test_a_recording_of_locata_becomes_an_experiment(locata, tmp_path):
     truth = [json.loads(line) for line in (tmp_path / "groundtruth_sources.jsonl").read_text().splitlines()]
     assert [record["timestamp"] for record in truth[:3]] == [0.0, 0.1, 0.2]
     assert all(np.allclose(record["objects"][0]["mouth_position"], place, atol=1e-5) for record in truth)
-    found = run("avdetect-audio", "-C", tmp_path, tmp_path / "audio.jsonl")
-    assert found.returncode == 0, found.stderr
+    found = done("avdetect-audio", "-C", tmp_path, tmp_path / "audio.jsonl")
     places = [one["position"] for line in found.stdout.splitlines() for one in json.loads(line)["objects"]]
     assert np.linalg.norm(np.median(places, axis=0)[:2] - place[:2]) < 0.1
 
@@ -117,8 +116,7 @@ def test_a_sequence_of_av163_becomes_an_experiment(tmp_path):
     truth = lines_of(tmp_path / "out/groundtruth_sources.jsonl")
     assert [truth[0]["timestamp"], truth[-1]["timestamp"]] == [0.2, 1.3]  # the sound begins at time code 10
     assert np.allclose(truth[3]["objects"][0]["mouth_position"], place + np.array([4.1, 4.1, 0.75]))
-    found = run("avdetect-audio", "-C", tmp_path / "out", tmp_path / "out/audio.jsonl")
-    assert found.returncode == 0, found.stderr
+    found = done("avdetect-audio", "-C", tmp_path / "out", tmp_path / "out/audio.jsonl")
     offset = np.median(in_place(map(json.loads, found.stdout.splitlines())), axis=0)[:2] - (place + 4.1)[:2]
     assert np.linalg.norm(offset) < 0.15
     (folder / "seq11-1p-0100_array2_mic8.wav").unlink()
@@ -143,8 +141,7 @@ def test_a_sequence_of_cav3d_becomes_an_experiment(tmp_path):
     truth = lines_of(tmp_path / "out/groundtruth_sources.jsonl")
     assert len(truth) == 11
     assert all(np.allclose(record["objects"][0]["mouth_position"], place) for record in truth)
-    found = run("avdetect-audio", "-C", tmp_path / "out", tmp_path / "out/audio.jsonl")
-    assert found.returncode == 0, found.stderr
+    found = done("avdetect-audio", "-C", tmp_path / "out", tmp_path / "out/audio.jsonl")
     towards = [one["direction"][:2] for line in found.stdout.splitlines() for one in json.loads(line)["objects"]]
     true = (place - middle)[:2] / np.linalg.norm((place - middle)[:2])
     assert np.median(np.array(towards) @ true / np.linalg.norm(towards, axis=1)) > np.cos(np.deg2rad(5))
@@ -219,8 +216,7 @@ def test_a_sequence_of_motchallenge_becomes_an_experiment(tmp_path):
     assert (len(truth), truth[7]["timestamp"]) == (30, 1.0)
     assert np.allclose(np.diff(in_place(truth), axis=0), [0.2, -0.06, 0.0])
     found = tmp_path / "out/detections.jsonl"
-    tracks = run("avfuse", "-C", tmp_path / "out", "--doors", "anywhere", "--sigma", "camera=0.05", found)
-    assert tracks.returncode == 0, tracks.stderr
+    tracks = done("avfuse", "-C", tmp_path / "out", "--doors", "anywhere", "--sigma", "camera=0.05", found)
     score = run("aveval", tmp_path / "out/groundtruth_sources.jsonl", "-", "--fail-under", "HOTA=90",
                 stdin=tracks.stdout)  # fmt: skip
     assert score.returncode == 0, score.stderr
@@ -269,8 +265,7 @@ def test_tracks_of_eth_and_ucy_become_an_experiment(tmp_path):
     assert {one["object_id"] for record in truth for one in record["objects"]} == {"3", "3-2"}  # came back: another
     assert np.allclose(truth[2]["objects"][0]["position"], [0.5, 5.0, 0.0], atol=1e-6)
     assert np.allclose(in_place(lines_of(tmp_path / "ucy/groundtruth_sources.jsonl"))[10], [2.5, 0, 0])
-    fused = run("avfuse", "-C", tmp_path / "eth", "--doors", "anywhere", tmp_path / "eth/detections.jsonl")
-    assert fused.returncode == 0, fused.stderr
+    done("avfuse", "-C", tmp_path / "eth", "--doors", "anywhere", tmp_path / "eth/detections.jsonl")
     late = importer("ethucy", tmp_path / "seq/obsmat.txt", "--begin", 900, "-C", tmp_path / "late")
     assert "nobody walks from 900 s to 1020 s" in late.stderr
 

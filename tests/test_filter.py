@@ -91,10 +91,7 @@ def test_a_bad_line_can_be_skipped(line):
     counts = [orjson.loads(row)["count"] for row in result.stdout.splitlines()]
     assert result.returncode == 0
     assert counts in ([1, 1], [1, 0, 1])
-    assert result.stderr in (
-        b"copy-records: skipped 1 invalid record\n",
-        b"copy-records: skipped 1 invalid object\n",
-    )
+    assert result.stderr in (b"copy-records: skipped 1 invalid record\n", b"copy-records: skipped 1 invalid object\n")
 
 
 def test_a_bad_object_alone_is_skipped():

@@ -194,10 +194,7 @@ def test_listing_4_and_5_load():
     assert np.isnan(truth.mouths).all()
 
 
-@given(
-    st.floats(0, 2e9),
-    st.lists(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3), max_size=5),
-)
+@given(st.floats(0, 2e9), st.lists(st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3), max_size=5))
 def test_what_is_written_is_read_again(timestamp, positions):
     rows = [{"object_id": i, "position": position} for i, position in enumerate(positions)]
     line = records.encode({"timestamp": timestamp, "objects": rows})

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from calibration_boards import photograph
-from conftest import run
+from conftest import done, run
 
 from avcli import pose
 from avcli.calibration.target import Board
@@ -75,8 +75,7 @@ def save(lens: Lens, size: tuple[int, int], path):
 
 
 def did(*command, stdin=""):
-    result = run(*command, stdin=stdin)
-    assert result.returncode == 0, result.stderr
+    result = done(*command, stdin=stdin)
     return result.stdout.decode()
 
 

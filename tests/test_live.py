@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import soundfile
-from conftest import BIN, run
+from conftest import BIN, done, refused, run
 from localization_rooms import MICROPHONES, ROOM, heard, noisy, voice
 
-from avcli.commands import avcalib_live
+from avcli.commands import avcalib
 from avcli.commands.live import newest
 from avcli.formats import experiment, footage, media
 from avcli.formats.camera import Camera
@@ -98,7 +98,7 @@ def test_the_newest_is_taken_and_skipping_is_said_once_and_counted():
 
     session, got = Said([]), []
     with contextlib.ExitStack() as stack:
-        shots = newest(session, stack, items(), "pictures")
+        shots = newest(session, stack, items())
         for release in (taken[0], taken[1]):
             got.append(next(shots).timestamp)
             release.release()
@@ -182,8 +182,7 @@ VIDEO = "avdetect-video", "--detector", "depth", "--live"
 
 
 def test_pictures_that_come_too_fast_are_skipped_but_not_the_last(folder):
-    result = run(*VIDEO, "-C", folder, stdin=b"".join(frame(index) for index in range(100)))
-    assert result.returncode == 0
+    result = done(*VIDEO, "-C", folder, stdin=b"".join(frame(index) for index in range(100)))
     times = [float(json.loads(line)["timestamp"]) for line in result.stdout.splitlines()]
     assert times == sorted(times)
     assert times[-1] == 9.9
@@ -194,8 +193,7 @@ def test_pictures_that_come_too_fast_are_skipped_but_not_the_last(folder):
 def test_sound_that_comes_too_fast_is_skipped_but_not_its_end(folder):
     content = (folder / "a.wav").read_bytes()
     every = run("avdetect-audio", "-C", folder, stdin=content).stdout.splitlines()
-    result = run("avdetect-audio", "--live", "-C", folder, stdin=content)
-    assert result.returncode == 0
+    result = done("avdetect-audio", "--live", "-C", folder, stdin=content)
     some = result.stdout.splitlines()
     assert json.loads(some[-1])["timestamp"] == json.loads(every[-1])["timestamp"]
     if len(some) < len(every):
@@ -285,9 +283,7 @@ def wait_until_empty(pipe):
 )
 def test_live_is_for_what_is_live(folder, command, words):
     (folder / "frames.jsonl").write_bytes(frame(0))
-    result = run(*command, "-C", folder, cwd=folder)
-    assert result.returncode == 2
-    assert words in result.stderr
+    refused(run(*command, "-C", folder, cwd=folder), words, status=2)
 
 
 CAMERA = """
@@ -306,8 +302,7 @@ main()
 
 
 def test_a_camera_is_live(folder):
-    result = run(BIN / "python", "-c", CAMERA, "-C", folder, "/dev/video99")
-    assert result.returncode == 0, result.stderr
+    result = done(BIN / "python", "-c", CAMERA, "-C", folder, "/dev/video99")
     times = [float(json.loads(line)["timestamp"]) for line in result.stdout.splitlines()]
     assert times[-1] == 4.9
     assert f"skipped {50 - len(times)} of 50 pictures" in result.stderr or len(times) == 50
@@ -397,5 +392,5 @@ def test_a_stream_at_an_address_is_filmed_live(monkeypatch):
     monkeypatch.setattr(footage, "pictures", lambda *_: iter(shown))
     with contextlib.ExitStack() as stack:
         source = footage.source("rtsp://camera/path")
-        arriving, _ = avcalib_live._pictures(None, stack, source, {"rate_hz": 0.1})
+        arriving, _ = avcalib._pictures(None, stack, source, {"rate_hz": 0.1})
         assert len(list(arriving)) == 1

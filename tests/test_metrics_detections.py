@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import run
+from conftest import done, run
 from test_aveval import records_of
 from test_metrics_report import experiment
 
@@ -177,8 +177,7 @@ def test_a_plot_for_each_sequence(tmp_path):
     for name in ("s1", "s3"):
         (tmp_path / name / "tracking" / "audio_tracking.jsonl").unlink()
         (tmp_path / name / "tracking" / "video_tracking.jsonl").unlink()
-    result = run("aveval", "--experiments", "s3", "s1", "--plot", "p.svg", "-o", "m.jsonl", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    done("aveval", "--experiments", "s3", "s1", "--plot", "p.svg", "-o", "m.jsonl", cwd=tmp_path)
     for name in ("p-s1.svg", "p-s3.svg"):
         assert "audio_video" in (tmp_path / name).read_text()
     assert run("aveval", "--experiments", "s3", "--plot", "p.bmp", cwd=tmp_path).returncode == 2

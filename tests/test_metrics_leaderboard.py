@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from conftest import run
+from conftest import done, refused, run
 
 
 def rows(offset, frames=range(1, 11)):
@@ -29,8 +29,7 @@ def dataset(tmp_path):
 
 
 def test_the_best_tracker_comes_first_in_each_level(dataset):
-    result = run("aveval", "--leaderboard", dataset / "set", dataset / "rough", dataset / "good")
-    assert result.returncode == 0
+    result = done("aveval", "--leaderboard", dataset / "set", dataset / "rough", dataset / "good")
     assert "rough has no file for b: counted as missed" in result.stderr
     records = [json.loads(line) for line in result.stdout.splitlines()]
     order = [f"{level} at {d0} m" for d0 in ("2", "0.5") for level in ("easy", "hard", "all")]
@@ -46,8 +45,7 @@ def test_the_best_tracker_comes_first_in_each_level(dataset):
 
 
 def test_a_leaderboard_is_a_table_too(dataset):
-    result = run("aveval", "--leaderboard", dataset / "set", dataset / "good", "--format", "markdown")
-    assert result.returncode == 0, result.stderr
+    result = done("aveval", "--leaderboard", dataset / "set", dataset / "good", "--format", "markdown")
     assert "| all at 0.5 m | good | 100.0 |" in result.stdout.decode()
 
 
@@ -70,6 +68,4 @@ def test_what_is_no_leaderboard_is_refused(dataset, arguments, says):
 
 def test_a_sequence_needs_its_frame_rate(dataset):
     (dataset / "set/test/a/seqinfo.ini").write_text("[Sequence]\nname=a\n")
-    result = run("aveval", "--leaderboard", dataset / "set", dataset / "good")
-    assert result.returncode == 1
-    assert "seqinfo.ini: has no frameRate" in result.stderr
+    refused(run("aveval", "--leaderboard", dataset / "set", dataset / "good"), "seqinfo.ini: has no frameRate")

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
-from conftest import run
+from conftest import done, run
 from test_aveval import lines, record, walk
 
 
@@ -69,10 +69,8 @@ def page(tmp_path_factory):
     # A name that would break out of the page if it were not escaped.
     source = folder / "s1" / "tracking" / "video_tracking.jsonl"
     (folder / "s1" / "tracking" / "<script>alert(1)<_script>_tracking.jsonl").write_bytes(source.read_bytes())
-    result = run("aveval", "--experiments", "s3", "s1", "--html", "r.html", "--compare-thesis", "-q", cwd=folder)
-    assert result.returncode == 0, result.stderr
-    again = run("aveval", "--experiments", "s3", "s1", "--html", "again.html", "--compare-thesis", "-q", cwd=folder)
-    assert again.returncode == 0
+    done("aveval", "--experiments", "s3", "s1", "--html", "r.html", "--compare-thesis", "-q", cwd=folder)
+    done("aveval", "--experiments", "s3", "s1", "--html", "again.html", "--compare-thesis", "-q", cwd=folder)
     assert (folder / "r.html").read_bytes() == (folder / "again.html").read_bytes()
     return folder / "r.html"
 

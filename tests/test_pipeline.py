@@ -12,7 +12,7 @@ import jsonschema
 import numpy as np
 import orjson
 import pytest
-from conftest import BIN, COMMANDS, HANG_S, run, schema
+from conftest import BIN, COMMANDS, HANG_S, done, refused, run, schema
 from forked import write_shims
 
 THESIS_HOTA = {"audio": 0.477, "video": 0.800, "audio_video": 0.803}
@@ -28,8 +28,7 @@ def camera_of(directory):
 
 
 def scores(truth, *tracks):
-    result = run("aveval", truth, *tracks, "--format", "jsonl")
-    assert result.returncode == 0, result.stderr
+    result = done("aveval", truth, *tracks, "--format", "jsonl")
     return [orjson.loads(line) for line in result.stdout.splitlines()]
 
 
@@ -77,10 +76,7 @@ def test_the_experiment_has_the_layout_of_the_thesis(finished_s1):
     assert config["camera_config"]["lens_model"] == "kannala_brandt"
     for record in lines(finished_s1 / "scene.jsonl"):
         t = record["timestamp"]
-        assert record["frame"] == {
-            "rgb": f"video/rgb/RGB_frame_{t}.png",
-            "depth": f"video/depth/Depth_frame_{t}.png",
-        }
+        assert record["frame"] == {"rgb": f"video/rgb/RGB_frame_{t}.png", "depth": f"video/depth/Depth_frame_{t}.png"}
     rgb = cv2.imread(str(finished_s1 / "video/rgb/RGB_frame_2.0000000000.png"), cv2.IMREAD_UNCHANGED)
     depth = cv2.imread(str(finished_s1 / "video/depth/Depth_frame_2.0000000000.png"), cv2.IMREAD_UNCHANGED)
     assert (rgb.shape, rgb.dtype, depth.shape, depth.dtype) == ((1080, 1920, 3), np.uint8, (1080, 1920), np.uint16)
@@ -187,22 +183,15 @@ def broken(finished_s1, tmp_path, change):
     return directory
 
 
-def one_line(result, command, code):
-    assert result.returncode == code, result.stderr
-    assert result.stderr.startswith(f"{command}: ")
-    assert result.stderr.count("\n") == 1, result.stderr
-    assert "Traceback" not in result.stderr
-
-
 @pytest.mark.parametrize("command", READERS)
 def test_a_missing_or_broken_config(finished_s1, tmp_path, command):
     stdin = (finished_s1 / READERS[command]).read_bytes()
     directory = broken(finished_s1, tmp_path, lambda config: b"{")
-    one_line(run(command, "-C", directory, stdin=stdin), command, 1)
+    refused(run(command, "-C", directory, stdin=stdin), f"{command}: ")
     (directory / "config.json").unlink()
-    one_line(run(command, "-C", directory, stdin=stdin), command, 1)
-    one_line(run(command, "-C", tmp_path / "missing", stdin=stdin), command, 2)
-    one_line(run(command, "-c", tmp_path / "missing.json", stdin=stdin), command, 2)
+    refused(run(command, "-C", directory, stdin=stdin), f"{command}: ")
+    refused(run(command, "-C", tmp_path / "missing", stdin=stdin), f"{command}: ", status=2)
+    refused(run(command, "-c", tmp_path / "missing.json", stdin=stdin), f"{command}: ", status=2)
 
 
 @pytest.mark.parametrize(
@@ -221,14 +210,14 @@ def test_a_config_without_a_needed_key_names_it(finished_s1, tmp_path, command, 
 
     directory = broken(finished_s1, tmp_path, without)
     result = run(command, "-C", directory, stdin=(finished_s1 / READERS[command]).read_bytes())
-    one_line(result, command, 1)
+    refused(result, f"{command}: ")
     assert f"{section}.{key}" in result.stderr
 
 
 def test_a_missing_picture(finished_s1, tmp_path):
     directory = broken(finished_s1, tmp_path, lambda config: config)
     result = run("avdetect-video", "-C", directory, stdin=(finished_s1 / "scene.jsonl").read_bytes())
-    one_line(result, "avdetect-video", 1)
+    refused(result, "avdetect-video: ")
     assert re.search(r"(RGB_frame_0\.0|Depth_)\S*: no such file", result.stderr)
 
 
@@ -245,23 +234,7 @@ def test_sound_of_another_rate_or_channel_count(finished_s1, tmp_path):
     for number, change in enumerate((fewer, slower)):
         (tmp_path / str(number)).mkdir()
         directory = broken(finished_s1, tmp_path / str(number), change)
-        one_line(run("avdetect-audio", "-C", directory, wav), "avdetect-audio", 1)
-
-
-def test_a_machine_without_egl(tmp_path):
-    nothing = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent.json", "GLCONTEXT_LINUX_LIBEGL": "libnothing.so"}
-    result = run("avsim-scene", "s1", "-C", tmp_path / "e", env=nothing)
-    one_line(result, "avsim-scene", 1)
-    assert "libegl1" in result.stderr
-    assert result.stdout == b""
-
-
-def test_a_directory_that_is_not_ours_is_left_alone(tmp_path):
-    (tmp_path / "config.json").write_text('{"session_id": "somebody else\'s"}')
-    result = run("avsim-scene", "s1", "-C", tmp_path, "--no-video")
-    assert result.returncode in (1, 2)
-    assert result.stderr.count("\n") == 1
-    assert os.listdir(tmp_path) == ["config.json"]
+        refused(run("avdetect-audio", "-C", directory, wav), "avdetect-audio: ")
 
 
 @pytest.mark.parametrize("command", READERS)
@@ -269,15 +242,9 @@ def test_a_bad_line_in_every_reader(finished_s1, tmp_path, command):
     directory = broken(finished_s1, tmp_path, lambda config: config)
     first = (finished_s1 / READERS[command]).read_bytes().splitlines(keepends=True)[0]
     result = run(command, "-C", directory, stdin=b"?" + first)
-    one_line(result, command, 1)
+    refused(result, f"{command}: ")
     assert "<stdin>:1:" in result.stderr
     assert os.listdir(directory) == ["config.json"], "nothing half-written"
-
-
-@pytest.mark.parametrize("command", ["avfuse", "avdetect-video", "avdetect-audio"])
-def test_nothing_in_nothing_out(finished_s1, command):
-    result = run(command, "-C", finished_s1, stdin=b"")
-    assert (result.returncode, result.stdout) == (0, b"")
 
 
 # --- the manual's examples --------------------------------------------------------------------------------------------

@@ -64,9 +64,6 @@ def of(person):
     return scenario.parse({"people": [person], "duration_s": 12.0})
 
 
-LINKS = [("a", "thigh", 0.245), ("b", "shin", 0.246)]
-
-
 @pytest.mark.parametrize("look", list(people.LOOKS))
 @pytest.mark.parametrize("speed", [0.3, 1.0, 3.0])
 def test_bodies_hold_together(look, speed):

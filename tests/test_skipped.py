@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import run
+from conftest import done, run
 
 from avcli.acoustics.recorder import Recorder
 from avcli.commands.filter import Session
@@ -36,8 +36,7 @@ def experiment(tmp_path_factory):
     ]
     said = {}
     for command, *options in steps:
-        ended = run(command, "-v", "-C", folder, *options)
-        assert ended.returncode == 0, ended.stderr
+        ended = done(command, "-v", "-C", folder, *options)
         said[command] = ended.stderr
     return folder, said
 

@@ -66,10 +66,10 @@ def test_a_killed_workers_scenes_are_made_again_and_no_other(swept):
 
 def test_a_worker_that_fails_says_what_failed(tmp_path):
     wanted = "--scenario", "nowhere.json", "--t60", "0", "--noise", "30", "--seeds", "0-0", "--out", tmp_path
-    result = run_forked(str(SWEEP / "scenes.py"), *wanted)
-    assert result.returncode == 1
-    assert "scenes.py: avsim-scene nowhere.json" in result.stderr
-    assert "exit code 2" in result.stderr
+    ended = run_forked(str(SWEEP / "scenes.py"), *wanted)
+    assert ended.returncode == 1
+    assert "scenes.py: avsim-scene nowhere.json" in ended.stderr
+    assert "exit code 2" in ended.stderr
 
 
 def test_the_table_has_a_row_for_each_combination(swept):

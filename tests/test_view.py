@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 from browser import CHROMIUM, Browser
-from conftest import BIN, run
+from conftest import BIN, done, refused, run
 from test_aveval import lines, walk
 from test_metrics_report import INKED, experiment
 
@@ -131,8 +131,7 @@ def test_pictures_of_another_size_are_said_once(made):
 
 
 def test_a_large_page_has_a_folder(made):
-    result = run("avview", "s3", "--html", "large.html", "--largest-mb", "0", cwd=made)
-    assert result.returncode == 0
+    result = done("avview", "s3", "--html", "large.html", "--largest-mb", "0", cwd=made)
     assert "large.html.files" in result.stderr
     assert {path.name for path in (made / "large.html.files").iterdir()} == {
         "data.js",
@@ -161,8 +160,7 @@ def test_a_film_that_browsers_play_is_copied_beside_a_page(made, name, codec):
         writer.write(np.full((48, 64, 3), level, np.uint8))
     writer.release()
     rows = (made / "s3/tracking/video_tracking.jsonl").read_bytes()
-    result = run("avview", "--film", name, "--largest-mb", "0", "--html", f"{name}.html", stdin=rows, cwd=made)
-    assert result.returncode == 0, result.stderr
+    done("avview", "--film", name, "--largest-mb", "0", "--html", f"{name}.html", stdin=rows, cwd=made)
     beside = made / f"{name}.html.files/film-0.webm"
     assert (beside.read_bytes() == (made / name).read_bytes()) == (codec == "VP80")
     film = cv2.VideoCapture(str(beside))
@@ -396,13 +394,11 @@ def test_nothing_to_show_still_stands(tmp_path):
 def test_a_start_without_film_or_sound_is_wrong_usage(tmp_path):
     (tmp_path / "t.jsonl").write_text('{"timestamp":0,"objects":[{"object_id":1,"position":[1,1,0]}]}\n')
     result = run("avview", tmp_path / "t.jsonl", "--html", tmp_path / "p.html", "--start", "3")
-    assert result.returncode == 2
-    assert "--start has no effect" in result.stderr
+    refused(result, "--start has no effect", status=2)
     assert not (tmp_path / "p.html").exists()
     for option in (["--beam", "1"], ["--microphone", "2"]):
         result = run("avview", tmp_path / "t.jsonl", "--html", tmp_path / "p.html", *option)
-        assert result.returncode == 2
-        assert f"{' '.join(option)}: there is no sound" in result.stderr
+        refused(result, f"{' '.join(option)}: there is no sound", status=2)
     assert run("avview", tmp_path / "t.jsonl", "--html", tmp_path / "p.html", "--beam", "none").returncode == 0
 
 
@@ -412,8 +408,7 @@ def test_sound_at_another_time_than_the_records_is_said(tmp_path, start, said):
     somebody = [{"object_id": 1, "position": [1, 1, 0]}]
     (tmp_path / "t.jsonl").write_text("".join(json.dumps(record(1000 + k / 10, somebody)) + "\n" for k in range(21)))
     options = ["--sound", tmp_path / "a.wav", "--start", start, "--html", tmp_path / "p.html"]
-    result = run("avview", tmp_path / "t.jsonl", *options)
-    assert result.returncode == 0
+    result = done("avview", tmp_path / "t.jsonl", *options)
     apart = "the sound is from 0.0 to 1.0 s, but the records are from 1000.0 to 1002.0 s: is --start right?"
     assert (apart in result.stderr) == said
 
@@ -421,9 +416,7 @@ def test_sound_at_another_time_than_the_records_is_said(tmp_path, start, said):
 def test_a_film_replaces_no_file_that_is_shown(made):
     for name in ("config.json", "tracking/video_tracking.jsonl"):
         before = (made / "s3" / name).read_bytes()
-        result = run("avview", "s3", "--mp4", f"s3/{name}", cwd=made)
-        assert result.returncode == 2
-        assert "this file is an input" in result.stderr
+        refused(run("avview", "s3", "--mp4", f"s3/{name}", cwd=made), "this file is an input", status=2)
         assert (made / "s3" / name).read_bytes() == before
 
 
@@ -438,8 +431,7 @@ def test_a_camera_whose_place_is_not_known_yet_draws_nothing_and_says_so(made, t
         rest = {key: value for key, value in raw.items() if key != "camera_config"}
         (tmp_path / "c.json").write_text(json.dumps({**rest, **camera}))
         where = ("-C", made / "s3", "-c", tmp_path / "c.json", "--html", tmp_path / "p.html")
-        result = run("avview", *where, made / "s3/groundtruth_sources.jsonl")
-        assert result.returncode == 0, result.stderr
+        result = done("avview", *where, made / "s3/groundtruth_sources.jsonl")
         assert "nothing is drawn into the pictures" in result.stderr
 
 
@@ -456,10 +448,8 @@ def test_the_named_camera_draws_into_its_pictures(made, tmp_path):
     ):
         (tmp_path / "c.json").write_text(json.dumps(content))
         where = ("-C", made / "s3", "-c", tmp_path / "c.json", "--html", tmp_path / "p.html")
-        result = run("avview", *where, *options, made / "s3/groundtruth_sources.jsonl")
-        assert result.returncode == 0, result.stderr
+        done("avview", *where, *options, made / "s3/groundtruth_sources.jsonl")
         page = (tmp_path / "p.html").read_text()
         assert f'"position":{json.dumps(position, separators=(",", ":"))}' in page
     wrong = run("avview", *where, "--sensor", "rihgt", made / "s3/groundtruth_sources.jsonl")
-    assert wrong.returncode == 2
-    assert "no camera of this name" in wrong.stderr
+    refused(wrong, "no camera of this name", status=2)

@@ -32,66 +32,44 @@ def volume(room_dimensions_m: ArrayLike) -> float:
     return float(np.prod(np.asarray(room_dimensions_m, dtype=float)))
 
 
-def minimum_rt60(room_dimensions_m: ArrayLike, weights: ArrayLike = 1.0) -> float:
-    """Return the shortest reverberation time, s, that Sabine's equation gives a room: a wall of it absorbs everything.
-
-    Args:
-        room_dimensions_m: (3,) m.
-        weights: (6,) or a number, relative absorption of the walls.
-    """
-    areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    return float(SABINE * volume(room_dimensions_m) * weights.max() / (weights @ areas))
-
-
-def sabine_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
+def sabine_absorption(room_dimensions_m: ArrayLike, rt60_s: float) -> np.ndarray:
     """Return the absorption coefficients of the six walls that give a reverberation time, (6,) of energy.
 
-    T60 = 0.161 V / Σ αᵢ Sᵢ with αᵢ = wᵢ α (W. C. Sabine, 1898; thesis eqs. 4.1 and 4.2), solved for α.
+    T60 = 0.161 V / (α S) (W. C. Sabine, 1898; thesis eqs. 4.1 and 4.2), solved for α.
 
     >>> sabine_absorption([4.66, 4.66, 3.0], 0.35).round(4).tolist()
     [0.3016, 0.3016, 0.3016, 0.3016, 0.3016, 0.3016]
-    >>> sabine_absorption([4.66, 4.66, 3.0], 0.35, weights=[0, 0, 0, 0, 1, 1]).round(4).tolist()  # floor and ceiling
-    [0.0, 0.0, 0.0, 0.0, 0.69, 0.69]
 
     Args:
         room_dimensions_m: (3,) m.
         rt60_s: reverberation time, s.
-        weights: (6,) or a number, relative absorption of the walls.
 
     Raises:
-        ValueError: rt60_s is below `minimum_rt60`; a wall would have to absorb more than everything.
+        ValueError: walls that absorb everything reverberate longer by this equation.
     """
-    least = minimum_rt60(room_dimensions_m, weights)
+    least = float(SABINE * volume(room_dimensions_m) / wall_areas(room_dimensions_m).sum())
     if not rt60_s >= least:
         raise ValueError(f"T60 {rt60_s:g} s is too short for this room; the shortest is {least:.4f} s")
-    areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    return np.minimum(1.0, SABINE * volume(room_dimensions_m) / (rt60_s * (weights @ areas)) * weights)
+    absorption = SABINE * volume(room_dimensions_m) / (rt60_s * wall_areas(room_dimensions_m).sum())
+    return np.full(6, min(1.0, absorption))
 
 
-def eyring_absorption(room_dimensions_m: ArrayLike, rt60_s: float, weights: ArrayLike = 1.0) -> np.ndarray:
+def eyring_absorption(room_dimensions_m: ArrayLike, rt60_s: float) -> np.ndarray:
     """Return the absorption coefficients of the six walls by Eyring's equation, (6,) of energy.
 
-    T60 = 0.161 V / (−S ln(1 − ᾱ)) with ᾱ the mean over the area (C. F. Eyring, 1930). With equal weights every T60 is
-    possible.
+    T60 = 0.161 V / (−S ln(1 − ᾱ)) with ᾱ the mean over the area (C. F. Eyring, 1930). Every T60 is possible.
 
     Args:
         room_dimensions_m: (3,) m.
         rt60_s: reverberation time, s.
-        weights: (6,) or a number, relative absorption of the walls.
 
     Raises:
-        ValueError: a wall would have to absorb more than everything, or rt60_s is not above 0.
+        ValueError: rt60_s is not above 0.
     """
     if not rt60_s > 0:
         raise ValueError(f"T60 must be above 0 s, not {rt60_s:g} s")
-    areas, weights = wall_areas(room_dimensions_m), np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    mean = -np.expm1(-SABINE * volume(room_dimensions_m) / (rt60_s * areas.sum()))
-    absorption = weights * mean * areas.sum() / (weights @ areas)
-    if absorption.max() > 1:
-        raise ValueError(
-            f"T60 {rt60_s:g} s is too short for this room; a wall would need absorption {absorption.max():.2f}"
-        )
-    return absorption
+    area = wall_areas(room_dimensions_m).sum()
+    return np.full(6, -np.expm1(-SABINE * volume(room_dimensions_m) / (rt60_s * area)))
 
 
 def decay_rates(

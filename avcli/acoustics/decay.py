@@ -24,10 +24,7 @@ LEAST_ABSORPTION, MOST_ABSORPTION = 1e-6, 0.99
 
 
 def image_absorption(
-    room_dimensions_m: ArrayLike,
-    rt60_s: float,
-    weights: ArrayLike = 1.0,
-    speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S,
+    room_dimensions_m: ArrayLike, rt60_s: float, speed_of_sound_m_s: float = SPEED_OF_SOUND_M_S
 ) -> np.ndarray:
     """Return the absorption coefficients with which image sources themselves have a reverberation time, (6,) of energy.
 
@@ -37,22 +34,19 @@ def image_absorption(
     Args:
         room_dimensions_m: (3,) m.
         rt60_s: reverberation time, s.
-        weights: (6,) or a number, relative absorption of the walls.
         speed_of_sound_m_s: m/s.
 
     Raises:
         ValueError: walls that absorb nearly everything reverberate longer, walls that absorb nearly nothing reverberate
             less (a room that is very flat), or rt60_s is not above 0.
     """
-    weights = np.broadcast_to(np.asarray(weights, dtype=float), 6)
-    area = float(weights @ wall_areas(room_dimensions_m))
     return _solved(
         room_dimensions_m,
         rt60_s,
         speed_of_sound_m_s,
-        lambda scale: scale * weights,
-        SABINE * volume(room_dimensions_m) / (max(rt60_s, 1e-9) * area),
-        MOST_ABSORPTION / weights.max(),
+        lambda scale: np.full(6, scale),
+        SABINE * volume(room_dimensions_m) / (max(rt60_s, 1e-9) * float(wall_areas(room_dimensions_m).sum())),
+        MOST_ABSORPTION,
     )
 
 

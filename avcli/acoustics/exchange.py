@@ -27,11 +27,7 @@ def check_path(path: str) -> None:
 
 
 def write_responses(
-    path: str,
-    surroundings: Surroundings,
-    times_s: Sequence[float],
-    ids: Sequence[int],
-    mouths_m: Sequence[np.ndarray],
+    path: str, surroundings: Surroundings, times_s: Sequence[float], ids: Sequence[int], mouths_m: Sequence[np.ndarray]
 ) -> None:
     """Write the impulse responses from mouths to all microphones to a .npz or .sofa file, whole or not at all.
 

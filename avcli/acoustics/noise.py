@@ -33,11 +33,7 @@ def diffuse_mixing(frequencies_hz: ArrayLike, microphones_m: ArrayLike, speed_of
 
 
 def diffuse_noise(
-    count: int,
-    microphones_m: ArrayLike,
-    sample_rate_hz: float,
-    speed_of_sound_m_s: float,
-    rng: np.random.Generator,
+    count: int, microphones_m: ArrayLike, sample_rate_hz: float, speed_of_sound_m_s: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Return white diffuse noise of variance 1 at microphones, (m, count); see `diffuse_mixing`.
 

@@ -88,7 +88,6 @@ class Fit:
         clear: (m, s) by how many standard deviations of noise each echo is heard.
         covariance: of positions (3 m), delays, drifts and speed of sound, in this order.
         residual_s: robust standard deviation of a delay about the model.
-        inflation: by how much the variance is larger than that of delays that err independently.
         used: share of the windows' pairs that fit the model.
     """
 
@@ -105,7 +104,6 @@ class Fit:
     clear: np.ndarray
     covariance: np.ndarray
     residual_s: float
-    inflation: float
     used: float
 
     @property
@@ -610,7 +608,6 @@ class _Problem:
             clear=self.clear,
             covariance=covariance[: 5 * count + 1, : 5 * count + 1],
             residual_s=scale,
-            inflation=self.inflation,
             used=share,
         )
 

@@ -223,11 +223,7 @@ def guess_board(pictures: Sequence[np.ndarray | Pyramid], board: Board) -> Board
 
 
 def polish(
-    patches: np.ndarray,
-    pixels: np.ndarray,
-    origins: np.ndarray,
-    to_board: np.ndarray,
-    clear: float,
+    patches: np.ndarray, pixels: np.ndarray, origins: np.ndarray, to_board: np.ndarray, clear: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Refine corners by fitting a picture of the corner to the pixels around each, the lens being roughly known.
 

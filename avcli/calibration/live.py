@@ -168,13 +168,7 @@ class Guide:
     # --- what is known
 
     def take(
-        self,
-        board: Board,
-        views: list[View],
-        view: View | None,
-        width: int,
-        height: int,
-        circle: Circle | None = None,
+        self, board: Board, views: list[View], view: View | None, width: int, height: int, circle: Circle | None = None
     ) -> str | None:
         """Learn from the views so far; return a hint when something is new.
 
@@ -204,7 +198,9 @@ class Guide:
         enough = self.state.enough or (new and self._is_enough(board, views, width))
         hint = self._hint(view, width, there=there, enough=enough)
         self.state = State(hint, len(views), self._bars(views, width), view is not None, there, enough)
-        return f"{_count(len(views))}, {self._covered_text()}: {hint}" if new and views else None
+        known = f", expected error {self.mean_px:.2f} px" if np.isfinite(self.mean_px) else ""
+        covered = f"{100 * self._covered:.0f} % of the picture covered{known}"
+        return f"{_count(len(views))}, {covered}: {hint}" if new and views else None
 
     def _learn(self, board: Board, views: list[View]) -> None:
         """Fit the views so far: from the fit before where there is one, since only one view is new."""
@@ -344,10 +340,6 @@ class Guide:
         if self.counts is None or self.lit_cells is None or not self.lit_cells.any():
             return 0.0
         return float((self.counts[self.lit_cells] > 0).mean())
-
-    def _covered_text(self) -> str:
-        known = f", expected error {self.mean_px:.2f} px" if np.isfinite(self.mean_px) else ""
-        return f"{100 * self._covered:.0f} % of the picture covered{known}"
 
 
 def is_enough(seen: Seen, settings: FitSettings) -> bool:

@@ -49,8 +49,7 @@ class Proposal:
         rotation, translation: (3, 3) and (3,) m, board to camera.
         outline: (n, 2) px, the board's edge in the picture, closed.
         grid: lines along the board's inner rows and columns, each (m, 2) px.
-        sd_px: root of the mean expected variance over the picture once the board was seen there; px.
-        gain: fraction by which that lowers it.
+        gain: fraction by which it lowers the root of the mean expected variance over the picture.
         words: how to hold the board, after "hold the board".
         lens: through which it was drawn.
     """
@@ -59,7 +58,6 @@ class Proposal:
     translation: np.ndarray
     outline: np.ndarray
     grid: tuple[np.ndarray, ...]
-    sd_px: float
     gain: float
     words: str
     lens: Lens
@@ -226,7 +224,7 @@ def propose(
         np.argmin(variance * (1 - _NEW * _new_share(board, solution, seen, rotations, translations, width, height)))
     )
     sd_px, now = float(np.sqrt(variance[best])), sigma * float(np.sqrt(np.trace(F @ np.linalg.inv(known))))
-    return _proposal(board, lens, rotations[best], translations[best], width, height, sd_px, 1 - sd_px / now)
+    return _proposal(board, lens, rotations[best], translations[best], width, height, 1 - sd_px / now)
 
 
 def first(board: Board, lens: Lens, width: int, height: int) -> Proposal:
@@ -240,7 +238,7 @@ def first(board: Board, lens: Lens, width: int, height: int) -> Proposal:
     outer = board.printed_m / 2
     ray = lens.unproject(np.array([[(width - 1) / 2, height / 4]]))[0]
     away = float(outer[1]) * ray[2] / max(float(np.hypot(ray[0], ray[1])), 1e-9)
-    return _proposal(board, lens, np.eye(3), np.array([0.0, 0.0, away]), width, height, np.inf, 1.0)
+    return _proposal(board, lens, np.eye(3), np.array([0.0, 0.0, away]), width, height, 1.0)
 
 
 def _new_share(
@@ -269,9 +267,7 @@ def _some_corners(board: Board) -> np.ndarray:
     return np.stack(np.meshgrid(s, s), -1).reshape(-1, 2) * board.half_extent
 
 
-def _proposal(
-    board: Board, lens: Lens, R: np.ndarray, t: np.ndarray, width: int, height: int, sd_px: float, gain: float
-) -> Proposal:
+def _proposal(board: Board, lens: Lens, R: np.ndarray, t: np.ndarray, width: int, height: int, gain: float) -> Proposal:
     """Draw a place for the board, and put it into words."""
     outer = board.printed_m / 2
     s = np.linspace(-1, 1, 13)
@@ -285,7 +281,7 @@ def _proposal(
 
     outline = seen(edge)
     words = _words(outline, R, t, lens, width, height)
-    return Proposal(R, t, outline, tuple(map(seen, lines)), sd_px, gain, words, lens)
+    return Proposal(R, t, outline, tuple(map(seen, lines)), gain, words, lens)
 
 
 def _words(outline: np.ndarray, R: np.ndarray, t: np.ndarray, lens: Lens, width: int, height: int) -> str:

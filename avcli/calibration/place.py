@@ -32,7 +32,6 @@ class Place:
         covariance: (6, 6) of a turn (rad, in the room's axes, about the camera) and of the position (m).
         rms_px: residual, root of the mean of du² + dv².
         residuals: (n, 2) px, seen minus predicted.
-        sigma_px: standard deviation of a pixel along one axis that the covariance assumes.
         off: rad, root of the mean square of the angles between the rays of the pixels and where their points are.
         beyond: how many points were left out, since they lie beyond the angle up to which the lens is known.
     """
@@ -41,7 +40,6 @@ class Place:
     covariance: np.ndarray
     rms_px: float
     residuals: np.ndarray
-    sigma_px: float
     off: float
     beyond: int = 0
 
@@ -113,7 +111,6 @@ def locate(
         (covariance + covariance.T) / 2,
         float(np.sqrt((residuals**2).sum(1).mean())),
         residuals,
-        sigma_px,
         off_angle(rays, from_pupil(points @ R.T + t, pupil_m)[0]),
     )
 

@@ -23,15 +23,10 @@ class Spread(NamedTuple):
     sd: float
 
 
-def fitted(path: Path = FITTED) -> Spread:
-    """Read the spread that `make fit-pupil` wrote."""
-    known = json.loads(path.read_text())
-    return Spread(known["mean"], known["sd"])
-
-
-PUPIL = fitted()
-"""What is known of the pupil before anything is seen. A fit knows no length of the lens. The square of the board and
-its distance both stand for one, badly; their geometric mean is more likely than either (pupil.json)."""
+_known = json.loads(FITTED.read_text())
+PUPIL = Spread(_known["mean"], _known["sd"])
+"""What is known of the pupil before anything is seen (pupil.json, by `make fit-pupil`). A fit knows no length of the
+lens. The square of the board and its distance both stand for one, badly; their geometric mean is more likely."""
 
 
 def from_pupil(points: np.ndarray, pupil: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -213,13 +213,7 @@ def polished(
         seen = np.where((~good & near)[:, None], expected, seen)
     unit, near = board.clear
     to_board = _board_offsets(replace(observations, pixels=seen), everywhere, unit)
-    pixels, sd = corners.polish(
-        np.concatenate([view.patches for view in views]),
-        seen,
-        origins,
-        to_board,
-        clear=near,
-    )
+    pixels, sd = corners.polish(np.concatenate([view.patches for view in views]), seen, origins, to_board, clear=near)
     fine = np.isfinite(sd)
     if fine.mean() < 0.5:
         return observations
@@ -384,20 +378,13 @@ def missed(observations: Observations, solution: Solution) -> float:
     free, lens = fit.blocks(observations, solution, beside=displaced), int(solution.free.sum())
     keep = np.r_[:lens, -7:0]
     plain = free._replace(
-        gram=free.gram[:, keep[:, None], keep],
-        prior=free.prior[:lens],
-        off=free.off[:lens],
-        doubt=free.doubt[:lens],
+        gram=free.gram[:, keep[:, None], keep], prior=free.prior[:lens], off=free.off[:lens], doubt=free.doubt[:lens]
     )
     return 1 - _crossed(free, part) / _crossed(plain, part)
 
 
 def held_out(
-    observations: Observations,
-    solution: Solution,
-    good: np.ndarray,
-    *,
-    board_errors: bool = False,
+    observations: Observations, solution: Solution, good: np.ndarray, *, board_errors: bool = False
 ) -> HeldOut:
     """Measure the error on views that took no part: the lens from the others, the pose from the view itself, robustly.
 

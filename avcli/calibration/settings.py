@@ -129,12 +129,7 @@ class ProjectionSettings:
         only="perspective",
     )
     fov_deg: float | None = setting(
-        None,
-        "Width of the view in degrees. It replaces --balance.",
-        unit="DEG",
-        least=1.0,
-        most=360.0,
-        flag="--fov",
+        None, "Width of the view in degrees. It replaces --balance.", unit="DEG", least=1.0, most=360.0, flag="--fov"
     )
 
 

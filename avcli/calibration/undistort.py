@@ -118,10 +118,7 @@ def straighten(
 
 
 def straightened(
-    pictures: Iterable[Picture],
-    camera: KnownCamera,
-    straight: Straightened,
-    skip: Callable[[str], None] | None = None,
+    pictures: Iterable[Picture], camera: KnownCamera, straight: Straightened, skip: Callable[[str], None] | None = None
 ) -> Iterator[tuple[Picture, np.ndarray]]:
     """Straighten the pictures of a camera one after another.
 

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import sys
-from collections.abc import Callable, Iterable
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import avcli.calibration.settings as settings
 from avcli import __version__
-from avcli.commands import avcalib_convert, avcalib_detector, avcalib_live, avcalib_room
+from avcli.commands import avcalib_convert, avcalib_detector, avcalib_room
 from avcli.commands.avcalib_pictures import (
     check_sources,
     collect,
+    ending_on_interrupt,
     parse_board,
     read_camera,
     usage_errors,
@@ -29,6 +34,9 @@ from avcli.settings import settings_of
 if TYPE_CHECKING:
     from avcli.calibration.calibrate import Calibration
     from avcli.calibration.gather import Seen
+    from avcli.calibration.live import Guide
+    from avcli.calibration.recognise import Wanted
+    from avcli.formats.footage import Picture, Source
 
 _THESIS = {"thesis": {"procedure": "thesis", "board": "6x8", "kind": "checkerboard", "square_mm": 95.0, "rate_hz": 2.0}}
 
@@ -124,7 +132,7 @@ def live_command(session: Session, source: str, **values: Any) -> None:
         else:
             refuse_without_effect(["host"], "without a page")
         guide = live.Guide(fitted, given.enough_px, session.warn, show, given.stops)
-        seen = avcalib_live.film(session, camera, board, values, guide)
+        seen = _film(session, camera, board, values, guide)
     if guide.state.enough and sys.stderr.isatty() and not session.quiet:
         click.echo("\a", err=True, nl=False)
     _finish(session, seen, values)
@@ -291,3 +299,78 @@ def _picture_format(session: Session, format: str | None) -> str:
     if format and suffix and format != suffix:
         session.usage(f"-o {session.output_path} contradicts --format {format}")
     return format or suffix or "svg"
+
+
+# --- what avcalib live films: the newest picture of a camera, of a stream, or of a film at its own pace ---------------
+
+_PATIENCE_S = 60.0
+"""How long an unplugged camera is waited for."""
+
+
+def _film(session: Session, source: Source, board: Wanted, values: Mapping[str, Any], guide: Guide) -> Seen:
+    """Look for the board in what is filmed until the guide knows enough, the source ends, or Ctrl-C."""
+    from avcli.calibration import gather
+
+    if source.kind != "camera":
+        refuse_without_effect(["size"], "without a camera")
+    with contextlib.ExitStack() as stack, session.timing("film"):
+        pictures, stop = _pictures(session, stack, source, values)
+        caught = stack.enter_context(ending_on_interrupt(True, stop))
+        return gather.collect(
+            pictures,
+            board,
+            thorough=False,
+            eager=True,
+            say=session.warn,
+            reason=guide.reason,
+            after=lambda *news: guide.after(*news) or bool(caught),
+        )
+
+
+def _pictures(
+    session: Session, stack: contextlib.ExitStack, source: Source, values: Mapping[str, Any]
+) -> tuple[Iterator[Picture], Callable[[], None]]:
+    """Return the pictures of a source as they come, and what ends them."""
+    from avcli.formats import footage
+    from avcli.formats.camera import Camera
+    from avcli.formats.live import LiveSource, Stoppable
+
+    rate_hz: float | None = values["rate_hz"]
+    ended = threading.Event()
+    stop: Callable[[], None] = ended.set
+    if source.kind == "camera":
+        camera = Camera(source.name, rate_hz, values["size"], True, _PATIENCE_S, session.warn, ended=ended)
+        arriving = footage.camera_pictures(camera)
+    elif source.kind == "stream":
+        pipe = Stoppable(session.open("-"))
+        stop = pipe.stop
+        arriving = _as_they_arrive(footage.pictures(["-"], stream=io.BufferedReader(pipe)), rate_hz, ended)
+    elif source.kind == "url":
+        arriving = _as_they_arrive(footage.pictures([source.name]), rate_hz, ended)
+    elif source.kind in ("video", "file"):
+        arriving = _paced(footage.pictures([source.name], rate_hz), ended)
+    else:  # single pictures have no pace
+        return footage.pictures([source.name]), stop
+    return iter(stack.enter_context(LiveSource(arriving, newest=True, stop=stop))), stop
+
+
+def _as_they_arrive(pictures: Iterator[Picture], rate_hz: float | None, ended: threading.Event) -> Iterator[Picture]:
+    """Yield pictures with the time at which they arrived, at most so many a second."""
+    from avcli.formats.live import Pace
+
+    pace = Pace(rate_hz)
+    for picture in pictures:
+        if ended.is_set():
+            return
+        if pace.takes():
+            yield replace(picture, timestamp=time.monotonic())
+
+
+def _paced(pictures: Iterator[Picture], ended: threading.Event) -> Iterator[Picture]:
+    """Yield the pictures of a film when they are due, as a camera would."""
+    begun = None
+    for picture in pictures:
+        begun = time.monotonic() - picture.timestamp if begun is None else begun
+        if ended.wait(max(0.0, begun + picture.timestamp - time.monotonic())):
+            return
+        yield picture

@@ -34,12 +34,7 @@ _EXTRA = "learning needs torch and onnx: pip install 'avcli[train]'"
 @click.option("--labels", metavar="DIR", help="Boxes made by hand, NAME.txt as YOLO writes them, to compare with too.")
 @common(seed=True)
 def detector_command(
-    session: Session,
-    sources: tuple[str, ...],
-    teacher: str,
-    model: str | None,
-    labels: str | None,
-    **values: Any,
+    session: Session, sources: tuple[str, ...], teacher: str, model: str | None, labels: str | None, **values: Any
 ) -> None:
     """Teach the small detector one camera and room, from a film of them.
 

@@ -165,10 +165,7 @@ def pose_command(
 )
 @from_settings(settings.MicrophoneSettings)
 @click.option(
-    "--write",
-    "into_config",
-    is_flag=True,
-    help="Write the positions and the faults of channels into config.json.",
+    "--write", "into_config", is_flag=True, help="Write the positions and the faults of channels into config.json."
 )
 @click.option("--html", metavar="FILE", help="Write a report with a plan of the room as one HTML file.")
 @common()
@@ -297,12 +294,7 @@ def _listening(session: Session, audio: tuple[str, ...], given: settings.Microph
 @click.argument("sources", nargs=-1, metavar="[SOURCE]...")
 @click.option("--depth", metavar="FILM|DIR", help="A film of depth in 16 bits, or a folder of depth pictures.")
 @click.option(
-    "--pictures",
-    type=WholeRange(3, 1000),
-    default=100,
-    metavar="N",
-    show_default=True,
-    help="Use at most N of each.",
+    "--pictures", type=WholeRange(3, 1000), default=100, metavar="N", show_default=True, help="Use at most N of each."
 )
 @common()
 def background_command(session: Session, sources: tuple[str, ...], depth: str | None, pictures: int) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import io
+import itertools
 import math
 import os
 from collections.abc import Iterable, Iterator
@@ -145,7 +146,7 @@ def main(
             at = "direction"
             session.note("the microphones are close together: directions are told, distances are not known")
         skips = stack.enter_context(Skips(session, "time steps"))
-        read = session.progress(_with_first(first, blocks), None if live else sound.expected(files))
+        read = session.progress(itertools.chain([first], blocks), None if live else sound.expected(files))
         for number, decision in enumerate(chosen.localize(read, sound.recording.begin or 0)):
             skips.take(decision.time, skips.skipped + decision.skipped, starting=number == 0)
             for notice in decision.notices:
@@ -175,11 +176,6 @@ def _objects(decision: Decision, features: list[dict[str, Any]]) -> list[dict[st
             one |= {"origin": ray.origin, "direction": direction, "direction_sd_deg": math.degrees(ray.sd)}
         objects.append(one | ({"features": told} if told else {}))
     return objects
-
-
-def _with_first(first: Block, rest: Iterable[Block]) -> Iterator[Block]:
-    yield first
-    yield from rest
 
 
 def _arriving(sound: _Sound, stack: contextlib.ExitStack, name: str, pipe: Stoppable) -> Iterator[Block]:

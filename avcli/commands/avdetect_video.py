@@ -341,14 +341,14 @@ def _shots(
         shots = (footage.UnreadShot(picture.timestamp, picture.image.view, None) for picture in pictures)
         if not moving[0].is_live:
             return shots
-        return newest(session, stack, _saying_its_end(session, moving[0].name, shots), "pictures")
+        return newest(session, stack, _saying_its_end(session, moving[0].name, shots))
     refuse_without_effect(["rate"], "on frame records, which have their own times")
     parse = partial(_frame, session.allow_outside)
     if not live:
         return _frames(session, session.records(files, parse))
     name, pipe = open_pipe(session, files)
     frames = session.stream_records(io.BufferedReader(pipe), name, parse)
-    return newest(session, stack, _frames(session, frames), "pictures", pipe.stop)
+    return newest(session, stack, _frames(session, frames), pipe.stop)
 
 
 def _saying_its_end(

@@ -98,8 +98,7 @@ def main(
     Writes one metrics record for each sequence and tracker, and for each tracker one "combined" over all sequences
     (and, for several sequences, their plain "mean"). TRACKS may be -, standard input.
     """
-    from avcli.metrics import gates, table
-    from avcli.metrics.scoring import combined
+    from avcli.metrics import scoring, table
 
     settings: Settings = settings_from(Settings, values)
     if settings.speaking and compare_thesis:
@@ -107,7 +106,7 @@ def main(
     if not any(Path(path).suffix.lower() in (".txt", ".csv") for path in paths):
         refuse_without_effect(["rate"], "without MOTChallenge files (.txt or .csv)")
     with _ending(session.usage, "--fail-under"):
-        least = [gates.parse_gate(text) for text in fail_under]
+        least = [scoring.parse_gate(text) for text in fail_under]
     if plot and Path(plot).suffix.lower() not in (".png", ".svg", ".pdf"):
         session.usage(f"--plot {plot}: the name must end in .png, .svg or .pdf")
     if [*paths, *detections].count("-") > 1:
@@ -134,7 +133,7 @@ def main(
         runs = [_score(session, entry, settings, rate, emit, bool(plot), shown) for entry in inputs]
         for text in dict.fromkeys(text for run in runs for text in run.guesses):
             session.warn(text)
-        for record in combined(runs, session.warn):
+        for record in scoring.combined(runs, session.warn):
             emit(record)
         if kind != "jsonl":
             width = shutil.get_terminal_size((120, 24)).columns if sys.stdout.isatty() else None
@@ -142,7 +141,7 @@ def main(
     _write_files(session, runs, plot, mot)
     if html and shown is not None:
         _write_page(session, Path(html), shown, records, compare_thesis)
-    if missed := gates.missed_gates(least, records):
+    if missed := scoring.missed_gates(least, records):
         raise GateNotMet("; ".join(missed))
 
 
@@ -319,7 +318,7 @@ def _score(
             shown.append(_shown(session, entry, recording, config, run))
     if not plotted or config is None:
         return run
-    from avcli.metrics.surroundings import with_surroundings
+    from avcli.metrics.run import with_surroundings
 
     return with_surroundings(run, config, session.warn)
 

@@ -289,12 +289,7 @@ def _recorder(
         _refuse_without_effect(room.reverberation_time_s if room.absorption is None else None, room.absorption)
     with session.timing("voices"):
         recorder = Recorder(
-            session.config,
-            settings,
-            speech=speech,
-            trajectories=trajectories,
-            seed=session.seed,
-            say=session.warn,
+            session.config, settings, speech=speech, trajectories=trajectories, seed=session.seed, say=session.warn
         )
     if session.verbose:  # the decay of the images takes a twentieth of a second
         for sentence in recorder.surroundings.described():

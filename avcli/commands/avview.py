@@ -214,7 +214,9 @@ def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterato
         layout = Layout(Path(path))
         lying = [layout.groundtruth, Path(path) / "audio.jsonl"]
         lying = [file for file in lying if file.is_file()]
-        lying += sorted(layout.localization.glob("*.jsonl")) + sorted(layout.tracking.glob("*.jsonl"), key=_fused_last)
+        lying += sorted(layout.localization.glob("*.jsonl"))
+        # Tracks of several sensors, whose names are the longest, stand last and are shown first.
+        lying += sorted(layout.tracking.glob("*.jsonl"), key=lambda path: (len(path.name), path.name))
         if not lying:
             session.usage(f"{path}: no records lie in this directory")
         name = Path(path).resolve().name
@@ -224,11 +226,6 @@ def _runs(session: Session, paths: tuple[str, ...], options: Options) -> Iterato
         root = session.media_root
         name = root.resolve().name if session.has_experiment else Path(named[0]).stem if named else "stdin"
         yield Run(printable(name), root, [*options.truth, *named] or ["-"], config)
-
-
-def _fused_last(path: Path) -> tuple[int, str]:
-    """Order tracks so that those of several sensors, whose names are the longest, stand last and are shown first."""
-    return len(path.name), path.name
 
 
 def _config(session: Session, run: Run) -> Config | None:

@@ -75,24 +75,19 @@ class Skips(contextlib.AbstractContextManager["Skips"]):
 
 
 def newest(
-    session: Session,
-    stack: contextlib.ExitStack,
-    shots: Iterable[T],
-    what: str,
-    stop: Callable[[], None] = lambda: None,
+    session: Session, stack: contextlib.ExitStack, shots: Iterable[T], stop: Callable[[], None] = lambda: None
 ) -> Iterator[T]:
-    """Yield the newest of what a live source sends whenever the next is asked for.
+    """Yield the newest of the pictures that a live source sends whenever the next is asked for.
 
     Args:
         session: of the command.
         stack: ends the thread that reads the source.
         shots: the source.
-        what: it consists of: "pictures".
         stop: ends a wait inside `shots`.
     """
     from avcli.formats.live import LiveSource
 
-    skips = stack.enter_context(Skips(session, what))
+    skips = stack.enter_context(Skips(session, "pictures"))
     arrivals = stack.enter_context(LiveSource(shots, newest=True, stop=stop))
     for number, shot in enumerate(arrivals):
         skips.take(shot.timestamp, arrivals.skipped, starting=number < 2)  # the first one waits for the detector

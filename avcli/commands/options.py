@@ -164,6 +164,20 @@ def _option(kind: type, field: dataclasses.Field, setting: Setting, defaults: Ma
     return click.option(flag, field.name, **words)
 
 
+_Range = click.FloatRange | click.IntRange
+
+
+def _bounds(kind: _Range) -> str:
+    """Say in words which numbers an option takes, also in --help: "above 0 and at most 1000"; nothing if all."""
+    ends = kind.min, None if kind.max == math.inf and not kind.max_open else kind.max
+    least, most = (None if x is None else str(x) if isinstance(x, int) else f"{x:g}" for x in ends)
+    if least and most and not (kind.min_open or kind.max_open):
+        return f"from {least} to {most}"
+    low = least and f"{'above' if kind.min_open else 'at least'} {least}"
+    high = most and f"{'below' if kind.max_open else 'at most'} {most}"
+    return " and ".join(filter(None, (low, high)))
+
+
 class FiniteRange(click.FloatRange):
     """A range of numbers without NaN, and without infinity unless that is its end."""
 
@@ -174,8 +188,7 @@ class FiniteRange(click.FloatRange):
             self.fail(f"must be a finite number, found {value}", param, ctx)
         return _within(self, number, value, param, ctx)
 
-    def _describe_range(self) -> str:
-        return _bounds(self)
+    _describe_range = _bounds
 
 
 class WholeRange(click.IntRange):
@@ -185,11 +198,7 @@ class WholeRange(click.IntRange):
         """Read a whole number, or fail with words that say what is wrong."""
         return _within(self, _read(self, int, "a whole number", value, param, ctx), value, param, ctx)
 
-    def _describe_range(self) -> str:
-        return _bounds(self)
-
-
-_Range = click.FloatRange | click.IntRange
+    _describe_range = _bounds
 
 
 def _read(kind: _Range, read: type, what: str, value: Any, *where: Any) -> Any:
@@ -204,17 +213,6 @@ def _within(kind: _Range, number: float, value: Any, *where: Any) -> float:
     if not low or not (kind.max is None or (number < kind.max if kind.max_open else number <= kind.max)):
         kind.fail(f"must be {_bounds(kind)}, found {value}", *where)
     return number
-
-
-def _bounds(kind: _Range) -> str:
-    """Say in words which numbers an option takes, also in --help: "above 0 and at most 1000"; nothing if all."""
-    ends = kind.min, None if kind.max == math.inf and not kind.max_open else kind.max
-    least, most = (None if x is None else str(x) if isinstance(x, int) else f"{x:g}" for x in ends)
-    if least and most and not (kind.min_open or kind.max_open):
-        return f"from {least} to {most}"
-    low = least and f"{'above' if kind.min_open else 'at least'} {least}"
-    high = most and f"{'below' if kind.max_open else 'at most'} {most}"
-    return " and ".join(filter(None, (low, high)))
 
 
 def _range(annotation: type, setting: Setting) -> click.ParamType:

@@ -652,7 +652,7 @@ def load(path: str | os.PathLike[str]) -> list[Detections | Identified]:
     marks = EndMarks()
     decoded = [(number, _located(path, number, decode, text)) for number, text in lines]
     decoded = [(number, record) for number, record in decoded if not marks.is_mark(record)]
-    found = any(_holds_detections(record) for _, record in decoded)
+    found = any({"sensor", "kind"} & record.keys() or _some_object(record, has_identity=False) for _, record in decoded)
     read = detections if found else functools.partial(identified, names=Names())
     return [_located(path, number, read, record) for number, record in decoded]
 
@@ -662,10 +662,6 @@ def _located(path: str | os.PathLike[str], number: int, read: Callable[[Any], An
         return read(value)
     except RecordError as error:
         raise RecordError(f"{os.fspath(path)}:{number}: {error}", error.column) from None
-
-
-def _holds_detections(record: Mapping[str, Any]) -> bool:
-    return "sensor" in record or "kind" in record or _some_object(record, has_identity=False)
 
 
 # --- the end of a stream ----------------------------------------------------------------------------------------------

@@ -39,9 +39,10 @@ lenses, and COLMAP's THIN_PRISM_FISHEYE for fisheyes. `lens_config` turns a lens
 k1 k2 p1 p2 k3 k4 k5 k6; ours is k1 ... k6 p1 p2.
 """
 
+from typing import Any
+
 from avcli.lens.models import Angular, BrownConrady, Division, FourTerms, KannalaBrandt, Lens, Perspective
 from avcli.lens.spheres import DoubleSphere, ExtendedUnified, Unified
-from avcli.lens.table import LENSES, OFF_CENTRE, TANGENTIAL, lens_config, name_of, variants
 from avcli.lens.tangential import Rational, Tangential, TangentialBrownConrady, TangentialKannalaBrandt
 
 __all__ = [
@@ -66,3 +67,39 @@ __all__ = [
     "name_of",
     "variants",
 ]
+
+
+LENSES: dict[str, type[Lens]] = {
+    "kannala_brandt": KannalaBrandt,
+    "brown_conrady": BrownConrady,
+    "division": Division,
+    "rational": Rational,
+    "double_sphere": DoubleSphere,
+    "eucm": ExtendedUnified,
+    "ucm": Unified,
+}
+"""Every lens model by the name that `lens_model` gives it in config.json."""
+
+TANGENTIAL: dict[str, type[Lens]] = {
+    "kannala_brandt": TangentialKannalaBrandt,
+    "brown_conrady": TangentialBrownConrady,
+}
+"""The models of `LENSES` that one of `OFF_CENTRE` in config.json turns into others."""
+
+OFF_CENTRE = ("p1", "p2", "sx1", "sy1")
+"""The coefficients of lenses that are not centred on one axis; 0 where they are absent."""
+
+
+def variants() -> dict[str, type[Lens]]:
+    """Every lens that can be fitted: the models of `LENSES`, and NAME+tangential of those in `TANGENTIAL`."""
+    return {**LENSES, **{f"{name}+tangential": model for name, model in TANGENTIAL.items()}}
+
+
+def name_of(lens: Lens) -> str:
+    """The name of a lens's model in `LENSES`."""
+    return next(name for name in LENSES if type(lens) in (LENSES[name], TANGENTIAL.get(name)))
+
+
+def lens_config(lens: Lens) -> dict[str, Any]:
+    """The lens as keys of a camera_config: lens_model, and its parameters by their keys."""
+    return {"lens_model": name_of(lens), **dict(zip(lens.keys(), map(float, lens.parameters), strict=True))}

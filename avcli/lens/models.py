@@ -1,4 +1,4 @@
-"""The lens models: what all share, two families, and one short class a model. `avcli.lens.table` names them.
+"""The lens models: what all share, two families, and one short class a model. `avcli.lens` names them.
 
 All are radial: the distance of a pixel from the centre depends on the angle of its ray alone; `avcli.lens.tangential`
 adds to them what is not. Across the axis a point lies in the direction e = (x, y) / r; the lens takes a variable s of

@@ -1,20 +1,16 @@
 """Higher order tracking accuracy (HOTA) and its parts, equal to TrackEval's."""
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
 from avcli.metrics.matching import assign_each
-from avcli.metrics.metric import Case, Field, Metric
+from avcli.metrics.metric import Case, Field, Metric, Scores
 from avcli.metrics.sequence import Group, Sequence
 
 ALPHA = np.arange(0.05, 0.99, 0.05)
 PARTS = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA", "OWTA")
 COUNTS = ("HOTA_TP", "HOTA_FN", "HOTA_FP")
-
-Scores = dict[str, Any]
-"""Arrays (19,) and, at the lowest alpha, numbers."""
 
 
 def hota(sequence: Sequence, d0: float = 2.0) -> Scores:

@@ -159,8 +159,8 @@ def _score(case: Case) -> Scores:
         "GOSPA_localization": float(distances.gospa_localization.sum()) / frames,
         "GOSPA_missed": float(distances.missed.sum()) / frames,
         "GOSPA_false": float(distances.false.sum()) / frames,
-        "TGOSPA": trajectories and float(trajectories.total),
-        "TGOSPA_switches": trajectories and float(trajectories.switches),
+        "TGOSPA": trajectories and float(trajectories[0]),
+        "TGOSPA_switches": trajectories and float(trajectories[1]),
     }
 
 

@@ -1,10 +1,12 @@
 """One sequence with all that was tracked and detected in it: what pictures and reports are made from."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from avcli.formats.experiment import Config, ConfigError
 from avcli.metrics.detections import SensorCase
 from avcli.metrics.metric import Case
 from avcli.metrics.ospa import SetDistances, set_distances
@@ -179,3 +181,29 @@ def _spans(time: np.ndarray, value: np.ndarray, step: float) -> list[tuple[float
         else:
             spans.append((t - step / 2, t + step / 2, v))
     return spans
+
+
+_DRAWN: dict[str, tuple[str, str, Callable[[Config], np.ndarray]]] = {
+    "room": ("room_config", "room_dimensions_m", lambda config: config.room.dimensions[:2]),
+    "microphones": ("microphone_config", "mic_positions_m", lambda config: config.microphones.positions[:, :2]),
+    "camera": ("camera_config", "camera_position_m", lambda config: config.camera.T_room_camera[:2, 3]),
+}
+
+
+def with_surroundings(run: Run, config: Config, say: Callable[[str], None] = lambda text: None) -> Run:
+    """Add the room, the microphones and the camera to a run, as far as its experiment states them.
+
+    Args:
+        run: what is to be drawn.
+        config: of the experiment.
+        say: is called with a sentence for each that is invalid.
+    """
+    known: dict[str, Any] = {}
+    for name, (section, key, read) in _DRAWN.items():
+        if not config.states(section, key):
+            continue
+        try:
+            known[name] = np.asarray(read(config), dtype=float)
+        except ConfigError as error:
+            say(f"{run.name}: not drawn: {name}: {error}")
+    return replace(run, **known)

@@ -1,7 +1,8 @@
 """Scoring of records: from ground truth and tracks or detections to metrics records, alone and combined."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from avcli.metrics import registry
 from avcli.metrics.detections import SensorCase
 from avcli.metrics.matching import speakers
 from avcli.metrics.metric import Case
+from avcli.metrics.registry import summary_fields
 from avcli.metrics.run import Detected, Run, Tracked
 from avcli.metrics.sequence import Mismatch, align
 from avcli.metrics.settings import Settings
@@ -217,3 +219,46 @@ def combined(runs: Sequence[Run], say: Callable[[str], None] = lambda text: None
 
 def _people(settings: Settings) -> dict[str, str]:
     return {"people": "speaking"} if settings.speaking else {}
+
+
+@dataclass(frozen=True)
+class Gate:
+    """The least value of a fraction of the summary.
+
+    Attributes:
+        tracker: its name; None for every tracker.
+        name: of the summary's field.
+        percent: least value.
+    """
+
+    tracker: str | None
+    name: str
+    percent: float
+
+
+def parse_gate(text: str) -> Gate:
+    """Read a gate from "[TRACKER:]NAME=PERCENT".
+
+    Raises:
+        ValueError: the text has another form, or NAME is not a fraction of the summary.
+    """
+    names = [field.name for field in summary_fields() if field.unit == "%"]
+    found = re.fullmatch(r"(?:(.+):)?(\w+)=(-?\d+(?:\.\d+)?)%?", text)
+    if not found or found[2] not in names:
+        raise ValueError(f"{text} must be [TRACKER:]NAME=PERCENT, where NAME is one of {', '.join(names)}")
+    return Gate(found[1], found[2], float(found[3]))
+
+
+def missed_gates(gates: Sequence[Gate], records: Sequence[dict]) -> list[str]:
+    """Return a phrase for each gate and tracker whose combined score is too low, or that has no tracks."""
+    combined = [record for record in records if record["sequence"] == "combined" and "tracker" in record]
+    missed = []
+    for gate in gates:
+        concerned = [record for record in combined if gate.tracker in (None, record["tracker"])]
+        if not concerned:
+            missed.append(f"there are no tracks of {gate.tracker}")
+        for record in concerned:
+            percent = 100 * record["summary"][gate.name]
+            if percent < gate.percent:
+                missed.append(f"{record['tracker']}: {gate.name} is {percent:.2f}, below {gate.percent:g}")
+    return missed

@@ -1,7 +1,5 @@
 """T-GOSPA, a metric between sets of trajectories, solved exactly where that is affordable."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from avcli.metrics.sequence import Sequence
@@ -11,20 +9,9 @@ _STEPS = 2e8
 """Most assignments of one frame, and most transitions in all, that are tried: about a second."""
 
 
-@dataclass(frozen=True)
-class TrajectoryDistance:
-    """T-GOSPA over all frames: total (m) to the power p is the sum of its parts (m^p)."""
-
-    total: float
-    localization: float
-    missed: float
-    false: float
-    switches: float
-
-
 def tgospa(
     sequence: Sequence, cutoff: float, order: float = 1.0, switch: float | None = None
-) -> TrajectoryDistance | None:
+) -> tuple[float, float] | None:
     """Measure how far the tracked trajectories are from the true ones: localization, misses, false tracks and switches.
 
     The assignment of tracks to people may change from frame to frame at a price, so the best course is a shortest path
@@ -40,7 +27,8 @@ def tgospa(
             none costs gamma^p / 2.
 
     Returns:
-        None if a component has too many people and tracks for an exact solution.
+        The distance over all frames, m, and the part of its p-th power that switches cost, m^p. None if a component has
+        too many people and tracks for an exact solution.
 
     Source: A. F. García-Fernández, A. S. Rahmathullah and L. Svensson, "A metric on the space of finite sets of
     trajectories for evaluation of multi-target tracking algorithms", IEEE TSP 68, 2020, definition 1.
@@ -60,7 +48,7 @@ def tgospa(
     half = cutoff**order / 2
     missed, false = (sequence.truth.identity.size - assigned) * half, (sequence.track.identity.size - assigned) * half
     localization = max(0.0, 2 * half * assigned - saved)
-    return TrajectoryDistance((localization + missed + false + paid) ** (1 / order), localization, missed, false, paid)
+    return (localization + missed + false + paid) ** (1 / order), paid
 
 
 def _gains(sequence: Sequence, cutoff: float, order: float) -> tuple[np.ndarray, ...]:

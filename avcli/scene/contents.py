@@ -41,10 +41,7 @@ def room_heard(scenario: Scenario) -> dict[str, Any]:
             room.surfaces.absorption.T[MIDDLE], loss[MIDDLE], room.surfaces.scattering.T[MIDDLE], strict=True
         )
     ]
-    return stated | {
-        "contents_absorption_m2": area.tolist(),
-        "reverberation_time_s": round(float(np.mean(times)), 3),
-    }
+    return stated | {"contents_absorption_m2": area.tolist(), "reverberation_time_s": round(float(np.mean(times)), 3)}
 
 
 def absorption_area(pieces: Sequence[Solids], heights_m: Sequence[float] = ()) -> np.ndarray:

@@ -6,8 +6,7 @@ EGL_EXT_device_query says of each device whether it is software (EGL_MESA_device
 import contextlib
 import ctypes
 import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 ENVIRONMENT = "GLCONTEXT_DEVICE_INDEX"
 """Environment variable with the number of the device to draw with, as moderngl's glcontext has it."""
@@ -15,27 +14,14 @@ _MOST = 32
 _EXTENSIONS = 0x3055  # of egl.h
 
 
-@dataclass(frozen=True)
-class Device:
-    """A device of EGL.
-
-    Attributes:
-        number: by which EGL counts it.
-        software: whether it is the processor.
-    """
-
-    number: int
-    software: bool
-
-
-def known() -> list[Device]:
-    """Return all devices, in EGL's order; none where this EGL cannot say."""
+def known() -> list[bool]:
+    """Return of each device, in EGL's order, whether it is software; none where this EGL cannot say."""
     with contextlib.suppress(OSError, AttributeError, TypeError):
         return _asked(ctypes.CDLL("libEGL.so.1"))
     return []
 
 
-def _asked(egl: ctypes.CDLL) -> list[Device]:
+def _asked(egl: ctypes.CDLL) -> list[bool]:
     egl.eglGetProcAddress.restype = ctypes.c_void_p
 
     def function(name: bytes, result: type | None, *arguments: type) -> Callable:
@@ -47,22 +33,20 @@ def _asked(egl: ctypes.CDLL) -> list[Device]:
     found, count = (pointer * _MOST)(), ctypes.c_int()
     if not query(_MOST, found, ctypes.byref(count)):
         return []
-    software = [b"EGL_MESA_device_software" in (text(device, _EXTENSIONS) or b"") for device in found[: count.value]]
-    return [Device(number, of_processor) for number, of_processor in enumerate(software)]
+    return [b"EGL_MESA_device_software" in (text(device, _EXTENSIONS) or b"") for device in found[: count.value]]
 
 
-def preferred(devices: Iterable[Device]) -> list[int | None]:
+def preferred(software: Sequence[bool]) -> list[int | None]:
     """Return the numbers of the devices to try, in this order; None leaves the choice to EGL.
 
     Args:
-        devices: that are known.
+        software: as `known` has it.
 
     Raises:
         ValueError: the environment variable is no number, or that of no device.
     """
-    devices = list(devices)
     if stated := os.environ.get(ENVIRONMENT):
-        if not stated.isdigit() or (devices and int(stated) >= len(devices)):
-            raise ValueError(f"{ENVIRONMENT}={stated}: no such device; EGL has {len(devices)} here, numbered from 0")
+        if not stated.isdigit() or (software and int(stated) >= len(software)):
+            raise ValueError(f"{ENVIRONMENT}={stated}: no such device; EGL has {len(software)} here, numbered from 0")
         return [int(stated)]
-    return [device.number for device in sorted(devices, key=lambda device: device.software)] or [None]
+    return [*sorted(range(len(software)), key=software.__getitem__)] or [None]

@@ -9,7 +9,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from avcli.scene.garments import garments
+from avcli.scene.garments import Garment, garments
 from avcli.scene.person import EYES, FOLDED, HAIR, KNIT, LEATHER, SKIN, Colour, Person, rgb
 from avcli.scene.skeleton import FOOT, Arm, Head, Leg, Skeleton, hip_offset, unit_vector
 
@@ -20,30 +20,14 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass
-class Part:
-    """One rounded cone at n times.
+class Part(Garment):
+    """One rounded cone at n times; its radii are those of this body.
 
     Attributes:
-        a, b: (n, 3) m, the ends of its axis.
-        ra, rb: radii there, m.
-        flat_axis: (n, 3) or (3,), unit axis along which it is flattened, by `flat` in (0, 1].
-        front: (n, 3), unit vector to the front of the part.
-        group: cones of one group blend where they touch.
-        material: SKIN, KNIT...
-        colour, beyond: before and beyond `split`, a fraction of its axis.
+        beyond: colour beyond `split`, a fraction of its axis.
         second: colour of what is printed on it.
     """
 
-    a: np.ndarray
-    b: np.ndarray
-    ra: float
-    rb: float
-    flat_axis: np.ndarray
-    flat: float
-    front: np.ndarray
-    group: str
-    material: int
-    colour: Colour
     beyond: Colour
     second: Colour
     split: float

@@ -47,10 +47,7 @@ PIECE = Variants(
         "chair": _kind((2, "on the floor"), "plastic", f"{_TURNS}; at 0 it faces +x"),
         "box": _kind((3, "of its middle"), "paint", _TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, required=True)),
         "panel": _kind(
-            (3, "of its middle"),
-            "card",
-            _TURNS,
-            size_m=Key(Numbers(3, _LENGTH), _SIZE, default=[0.8, 0.8, 0.02]),
+            (3, "of its middle"), "card", _TURNS, size_m=Key(Numbers(3, _LENGTH), _SIZE, default=[0.8, 0.8, 0.02])
         ),
         "cylinder": _kind(
             (3, "of its middle"),

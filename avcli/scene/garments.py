@@ -4,7 +4,7 @@ Sizes are metres of a body of 1.75 m, chosen by eye, as in dress.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,8 +17,19 @@ _RUBBER: Colour = (0.07, 0.07, 0.075)
 _CARD: Colour = (0.66, 0.52, 0.36)
 
 
-class Garment(NamedTuple):
-    """One rounded cone, as `dress.Part` has it: ends (n, 3) m, radii of an average body, flattening, front, paint."""
+@dataclass
+class Garment:
+    """One rounded cone at n times.
+
+    Attributes:
+        a, b: (n, 3) m, the ends of its axis.
+        ra, rb: radii there, m, of an average body.
+        flat_axis: (n, 3) or (3,), unit axis along which it is flattened, by `flat` in (0, 1].
+        front: (n, 3), unit vector to the front of the part.
+        group: cones of one group blend where they touch.
+        material: SKIN, KNIT...
+        colour: before `Part.split`.
+    """
 
     a: np.ndarray
     b: np.ndarray

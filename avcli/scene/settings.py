@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,12 +50,8 @@ class Drawing:
             farthest: m. It is less than the largest number of steps, which stands for "nothing measured".
         """
         finest, most = DEPTH_STEPS_M[self.depth_bits], 2 ** int(self.depth_bits) - 2
-        return next(step for step in _rounded_steps(finest) if farthest <= most * step)
-
-
-def _rounded_steps(finest: float) -> Iterator[float]:
-    """1, 2, 5, 10, 20... times the finest step."""
-    return (factor * 10**power * finest for power in itertools.count() for factor in (1, 2, 5))
+        steps = (factor * 10**power * finest for power in itertools.count() for factor in (1, 2, 5))
+        return next(step for step in steps if farthest <= most * step)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -107,11 +107,7 @@ def _encode(encoder: str, silent: Path, track: sound.Track | None, target: Path,
 
 
 def _images(
-    shown: Shown,
-    heard: sound.Track | None,
-    camera: Camera | None,
-    times: np.ndarray,
-    say: Callable[[str], None],
+    shown: Shown, heard: sound.Track | None, camera: Camera | None, times: np.ndarray, say: Callable[[str], None]
 ) -> Iterator[np.ndarray]:
     import cv2
 
@@ -223,7 +219,7 @@ def _draw(image: np.ndarray, streams: Sequence[Stream], time: float, place: Plac
         for person in _at(stream, time):
             row: list[Any] = [*person, *[None] * (9 - len(person))]
             identity, x, y, speaking, _, _, *spread = row
-            color = _INK if true and not seen else (255, 255, 255) if true else _color(stream, identity)
+            color = _INK if true and not seen else (255, 255, 255) if true else _color(identity)
             foot = _pixel(place(np.array([[x, y, 0.0]]))[0])
             if identity in trails:
                 _lines(image, place(np.column_stack([trails[identity], np.zeros(len(trails[identity]))])), color, 2)
@@ -281,7 +277,7 @@ def _around(x: float, y: float, spread: Sequence[float]) -> np.ndarray:
     return np.column_stack([ring, np.zeros(len(ring))])
 
 
-def _color(stream: Stream, identity: Any) -> tuple[int, int, int]:
+def _color(identity: Any) -> tuple[int, int, int]:
     number = identity if isinstance(identity, int) else sum(str(identity).encode())
     return _COLORS[number % len(_COLORS)]
 

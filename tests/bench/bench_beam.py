@@ -27,8 +27,6 @@ if importlib.util.find_spec("pyroomacoustics") is None:
         sys.exit("bench-beam: needs pyroomacoustics; make setup-bench installs it")
     os.execv(bench, [str(bench), *sys.argv])
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np  # noqa: E402
 import pyroomacoustics as pra  # noqa: E402
 import soundfile  # noqa: E402

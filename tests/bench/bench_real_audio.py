@@ -23,8 +23,6 @@ if importlib.util.find_spec("pyroomacoustics") is None:
         sys.exit("bench-real-audio: needs pyroomacoustics; make setup-bench installs it")
     os.execv(bench, [str(bench), *sys.argv])
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np  # noqa: E402
 import pyroomacoustics  # noqa: E402
 import soundfile  # noqa: E402

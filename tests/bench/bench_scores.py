@@ -30,8 +30,6 @@ if importlib.util.find_spec("pyroomacoustics") is None:
         sys.exit(f"{Path(sys.argv[0]).stem}: needs pyroomacoustics; make setup-bench installs it")
     os.execv(bench, [str(bench), *sys.argv])
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np  # noqa: E402
 from array_scenes import (  # noqa: E402
     FEW_FROM,

@@ -18,8 +18,6 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np
 from bench_faults import CASES, FS, ROOT, SPEAKERS, SPEED, Case, ring
 from bench_localization import responses

@@ -19,11 +19,8 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from scipy.optimize import minimize
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 from lens_sets import calibrated
+from scipy.optimize import minimize
 
 from avcli.calibration import fit
 from avcli.calibration.calibrate import Calibration

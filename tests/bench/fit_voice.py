@@ -17,7 +17,6 @@ auspicious3000/autovc, wavs, on CMU ARCTIC and on avsim-audio's own voices.
 import argparse
 import json
 import os
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -25,8 +24,6 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
 import numpy as np  # noqa: E402
 from localization_scenes import ring  # noqa: E402
 from scipy.linalg import eigh, null_space  # noqa: E402

@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 import soundfile
 
+from avcli import lens as lenses
 from avcli.formats import media
-from avcli.lens import table as lenses
 from avcli.scene.scenario import LABORATORY
 
 fuzz: Any = importlib.import_module("test_fuzz")

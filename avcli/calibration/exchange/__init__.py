@@ -57,12 +57,7 @@ FORMATS: dict[str, Format] = {
         "mrcal's .cameramodel", r"\bLENSMODEL_", reading.mrcal, writing.mrcal, MRCAL, (".cameramodel",), True, True
     ),
     "colmap": Format(
-        "COLMAP's cameras.txt",
-        reading.COLMAP_LINE.pattern,
-        reading.colmap,
-        writing.colmap,
-        COLMAP,
-        ("cameras.txt",),
+        "COLMAP's cameras.txt", reading.COLMAP_LINE.pattern, reading.colmap, writing.colmap, COLMAP, ("cameras.txt",)
     ),
     "kalibr": Format(
         "Kalibr's camchain", r"^\s+camera_model\s*:", reading.kalibr, writing.kalibr, KALIBR, ("camchain.yaml",)
