@@ -22,6 +22,10 @@ def standing(t: float) -> tuple[float, float]:
     return 2.0, 3.0
 
 
+def found(positions: np.ndarray) -> Detections:
+    return Detections(0.0, "", positions, np.full((len(positions), 3, 3), math.nan))
+
+
 def told(place: Place, late: float, seconds: float = 45.0, **moved: float) -> list[str]:
     """What is said of a camera, and of microphones whose times are so many seconds late."""
     rng, agreement, said = np.random.default_rng(0), Agreement(), []
@@ -29,7 +33,7 @@ def told(place: Place, late: float, seconds: float = 45.0, **moved: float) -> li
     records += [(t + late, "microphones", place(t)) for t in np.arange(0, seconds, 0.1) if t % 4 < 3]
     for t, name, xy in sorted(records):
         off = moved.get("x", 0.0) if name == "microphones" else 0.0
-        agreement.take(t, name, np.array([[xy[0] + off, xy[1], math.nan]]) + 0.1 * rng.standard_normal((1, 3)))
+        agreement.take(t, name, found(np.array([[xy[0] + off, xy[1], math.nan]]) + 0.1 * rng.standard_normal((1, 3))))
         said += agreement.news(t)
     return said
 
@@ -59,7 +63,7 @@ def test_records_that_are_never_of_one_time_do_not_pass_for_clocks_that_disagree
     records = [(t, "eye", walking(t)) for t in np.arange(0.0, 120.0)]
     records += [(t + late, "ear", walking(t)) for t in np.arange(phase, 120.0)]
     for t, name, xy in sorted(records):
-        agreement.take(t, name, np.array([xy]))
+        agreement.take(t, name, found(np.array([[*xy, math.nan]])))
         said += agreement.news(t)
     assert bool(said) == says
 
@@ -67,9 +71,9 @@ def test_records_that_are_never_of_one_time_do_not_pass_for_clocks_that_disagree
 def test_records_without_positions_and_a_sensor_alone_say_nothing() -> None:
     agreement = Agreement()
     for k in range(400):
-        agreement.take(k / 10, "camera", np.array([[*walking(k / 10), 1.0]]))
-        agreement.take(k / 10, "array", np.full((1, 3), math.nan))
-        agreement.take(k / 10, "quiet", np.empty((0, 3)))
+        agreement.take(k / 10, "camera", found(np.array([[*walking(k / 10), 1.0]])))
+        agreement.take(k / 10, "array", found(np.full((1, 3), math.nan)))
+        agreement.take(k / 10, "quiet", found(np.empty((0, 3))))
         assert agreement.news(k / 10) == []
 
 

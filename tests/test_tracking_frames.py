@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from avcli.formats.records import Detections
 from avcli.tracking.agreement import Agreement
-from avcli.tracking.frames import Motion, motion
+from avcli.tracking.frames import Motion, motion, turn
 
 Record = tuple[float, np.ndarray]
 STILL = np.eye(2)
@@ -122,9 +123,69 @@ def test_the_run_says_it_once_and_names_both_sensors():
     paths = walked(2, 100.0, rng)
     ears, eye = sensed(paths, 0.2, 0.6, rng), sensed((paths - 3) * [-1, 1] + 3, 0.1, 0.95, rng)
     for (time, heard), (_, seen) in zip(ears, eye, strict=True):
-        agreement.take(time, "ears", heard)
-        agreement.take(time, "eye", seen)
+        agreement.take(time, "ears", Detections(time, "ears", heard, np.full((len(heard), 3, 3), np.nan)))
+        agreement.take(time, "eye", Detections(time, "eye", seen, np.full((len(seen), 3, 3), np.nan)))
         said += agreement.news(time)
     (sentence,) = said
     assert sentence.startswith("sensor 'eye' finds people where 'ears' finds them, mirrored: x runs the other way (")
     assert sentence.endswith("do their coordinates agree?")
+
+
+ARRAY = np.array([2.2, 2.8, 0.8])
+
+
+def directions(heard: list[Record], matrix: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """What an array at ARRAY hears of mouths, if it is turned or mirrored."""
+    out = []
+    for time, places in heard:
+        away = np.column_stack([places[:, :2], np.full(len(places), 1.5)]) - ARRAY
+        away[:, :2] = away[:, :2] @ matrix.T
+        out.append((time, np.tile(ARRAY, (len(away), 1)), away / np.linalg.norm(away, axis=1, keepdims=True)))
+    return out
+
+
+@pytest.mark.parametrize("people", [1, 3])
+@pytest.mark.parametrize(
+    ("matrix", "says"),
+    [
+        (turned(90), "turned by -"),
+        (turned(180), "turned by"),
+        (np.diag([-1, 1]), "mirrored: x runs"),
+        (STILL, ""),
+    ],
+)
+def test_a_compact_array_that_is_turned_is_found(people, matrix, says):
+    rng = np.random.default_rng(0)
+    paths = walked(people, 60.0, rng)
+    heard, seen = sensed(paths, 0.15, 0.8, rng), sensed(paths, 0.1, 0.95, rng)
+    found = turn(directions(heard, matrix), seen)
+    if not says:
+        assert found is None
+        return
+    np.testing.assert_allclose(found.matrix, matrix.T, atol=0.1)
+    np.testing.assert_allclose(found.matrix @ ARRAY[:2] + found.shift, ARRAY[:2], atol=1e-9)
+    assert found.words().startswith(says)
+
+
+def test_the_run_says_that_an_array_is_turned():
+    rng, agreement, said = np.random.default_rng(1), Agreement(), []
+    paths = walked(2, 60.0, rng)
+    heard, seen = directions(sensed(paths, 0.15, 0.8, rng), turned(45)), sensed(paths, 0.1, 0.95, rng)
+    for (time, origins, ways), (_, places) in zip(heard, seen, strict=True):
+        nowhere = np.full((len(ways), 3), np.nan), np.full((len(ways), 3, 3), np.nan)
+        agreement.take(time, "ears", Detections(time, "ears", *nowhere, origins=origins, directions=ways))
+        agreement.take(time, "eye", Detections(time, "eye", places, np.full((len(places), 3, 3), np.nan)))
+        said += agreement.news(time)
+    (sentence,) = said
+    assert sentence.startswith("sensor 'eye' finds people where 'ears' finds them, turned by -4")
+    assert "about (2.2, 2.8) m" in sentence
+    assert "within 14 degrees" in sentence
+
+
+@pytest.mark.parametrize("way", [[0.0, 0.0, 1.0], [np.nan] * 3])
+def test_directions_that_point_nowhere_on_the_floor_tell_nothing(way):
+    rng = np.random.default_rng(0)
+    others = sensed(walked(2, 60.0, rng), 0.1, 0.9, rng)
+    ways = [(time, ARRAY[None], np.array([way])) for time, _ in others]
+    assert turn(ways, others) is None
+    assert turn([(time, np.full((1, 3), np.nan), np.array([[1.0, 0.0, 0.0]])) for time, _ in others], others) is None
