@@ -161,6 +161,7 @@ class GLMB:
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
         people.hits = np.column_stack([people.hits, np.zeros(len(people))])
+        people.counted = np.column_stack([people.counted, np.zeros(len(people))])
         people.doubt = np.column_stack([people.doubt, np.ones(len(people))])
         if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
             self.undetected.add(sensor)
@@ -247,6 +248,7 @@ class GLMB:
             score = None if score is None else score[order]
             features = {kind: one.take(order) for kind, one in (features or {}).items()}
             cells = self._seek(name, shown)
+        self.rates[self.column[name]].settle(now - self.last_record[self.column[name]])
         scan = self._scan(name, z, noise, score, features or {}, shown, cells)
         tentative = [*self.tentative, *cells]
         settings, rates = self.settings, self.rates[scan.column]
@@ -314,7 +316,7 @@ class GLMB:
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = now
         self.habits.absences.record(now)
-        self._rebuild(scan, groups, revealed, now)
+        self._rebuild(scan, groups, revealed, now, [rates.weight * one for one in false])
         if scan.doubt is not None and scan.sensor.kind == CAMERA:
             self._believe_who_went(scan.column)
         if self.gallery.fresh and scan.evidence:
@@ -511,8 +513,13 @@ class GLMB:
 
     # --- the densities and hypotheses after a record ------------------------------------------------------------------
 
-    def _rebuild(self, scan: Scan, groups: list[Group], revealed: Sequence[Birth], now: float) -> None:
-        """Compute each density that is needed once, and make tentative people and clusters of them."""
+    def _rebuild(
+        self, scan: Scan, groups: list[Group], revealed: Sequence[Birth], now: float, false: Sequence[float]
+    ) -> None:
+        """Compute each density that is needed once, and make tentative people and clusters of them.
+
+        false: as how many false ones each of J detections counts.
+        """
         want = needed(scan, self.people, self.tentative, groups, revealed)
         people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
@@ -524,6 +531,10 @@ class GLMB:
             if scan.evidence:
                 new.traits = self.features.first(scan.evidence, want.fresh)
             people = Densities.join([people, new])
+        found = [*want.detected, *want.renewed, *((-1, j) for j in want.fresh)]
+        for k, (row, j) in enumerate(found, len(people) - len(found)):
+            if false[j] and (row < 0 or not self.habits.sure(self.people, row)):
+                people.counted[k, scan.column] += false[j]
         if self.record:
             people.node = [Node.fork(node, now) for node in people.node]
         self.people = people
@@ -535,10 +546,21 @@ class GLMB:
         self._bear(scan, revealed, groups, row_of, want.fresh_rows())
         self._recluster(groups, row_of)
         self.habits.confirm(self.people, self.likely_rows)
+        if self.settings.learn:
+            self._give_back()
         if self.next_label >= self.pruned:
             self.pruned = self.next_label + PRUNED
             self.habits.forget(self.people.label)
             self.false_places.forget(self.people.label)
+
+    def _give_back(self) -> None:
+        """Let detections of people who are certain by now count as false no more: that would hide who comes next."""
+        people = self.people
+        for row, counted in zip(self.likely_rows, people.counted.take(self.likely_rows, 0).tolist(), strict=True):
+            if any(counted) and self.habits.sure(people, row):
+                for rates, number in zip(self.rates, counted, strict=True):
+                    rates.give_back(number)
+                people.counted[[label == people.label[row] for label in people.label]] = 0.0
 
     def _bear(
         self,
