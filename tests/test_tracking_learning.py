@@ -158,8 +158,8 @@ def test_people_who_come_are_not_learnt_as_clutter(rate):
     """Each second one comes amid a hall of 12 m x 8 m, where nobody should; .05 false detections in a record."""
     rng, shown, there = np.random.default_rng(0), 0, 0
     fusion = Fusion(Settings(), population=Population(area=((0.0, 0.0), (12.0, 8.0))))
-    begin, rows = np.arange(60.0), rng.uniform(1, 7, 60)
-    for k in range(int(60 * rate)):
+    begin, rows = np.arange(120.0), rng.uniform(1, 7, 120)
+    for k in range(int(120 * rate)):
         walked = 3.0 + 1.3 * (k / rate - begin)
         here = (walked >= 3.0) & (walked <= 9.0)
         at = np.column_stack([walked[here], rows[here]])

@@ -289,6 +289,7 @@ class GLMB:
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
             rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
+            rates.count_unknown(math.fsum(unclaimed))
             self._learn(groups, scan)
         self.habits.log_clutter[scan.column] = math.log(max(rates.clutter, 1e-9))
         if score is not None:
@@ -554,10 +555,14 @@ class GLMB:
             self.false_places.forget(self.people.label)
 
     def _give_back(self) -> None:
-        """Let detections of people who are certain by now count as false no more: that would hide who comes next."""
-        people = self.people
+        """Let detections of people who are certain by now count as false no more: that would hide who comes next.
+
+        They must be so even if all detections of nobody known were false; else people whom clutter made would say that
+        there is none.
+        """
+        people, most = self.people, [math.log(rates.most_clutter()) for rates in self.rates]
         for row, counted in zip(self.likely_rows, people.counted.take(self.likely_rows, 0).tolist(), strict=True):
-            if any(counted) and self.habits.sure(people, row):
+            if any(counted) and self.habits.sure(people, row, most):
                 for rates, number in zip(self.rates, counted, strict=True):
                     rates.give_back(number)
                 people.counted[[label == people.label[row] for label in people.label]] = 0.0

@@ -40,6 +40,7 @@ class Rates:
         self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
         self.hit_sum, self.hit_count = PRIOR_HITS * sensor.detection, PRIOR_HITS
         self.before: tuple[float, float] | None = None  # what was known of clutter before the last record
+        self.unknown_sum, self.unknown_count = sensor.clutter, 1.0  # detections of nobody known, in so many records
         self.surprise, self.weight = False, 1.0  # of the last record; of what one record teaches of clutter
         self.again, self.again_sum, self.again_count = AGAIN, PRIOR_AGAIN * AGAIN, PRIOR_AGAIN
         self.hiding = Hiding(sensor)
@@ -71,6 +72,14 @@ class Rates:
         self.clutter_sum = total + self.weight * (self.clutter_sum - total)
         self.clutter_count = count + self.weight * (self.clutter_count - count)
         self._estimate()
+
+    def count_unknown(self, number: float) -> None:
+        """Count the detections of nobody known in one record."""
+        self.unknown_sum, self.unknown_count = self.unknown_sum * KEEP + number, self.unknown_count * KEEP + 1
+
+    def most_clutter(self) -> float:
+        """Return the false detections in a record if all detections of nobody known were false."""
+        return max(self.unknown_sum / self.unknown_count, 1e-9)
 
     def give_back(self, number: float) -> None:
         """Take back that so many detections counted as false: they were of a person who is certain by now."""
