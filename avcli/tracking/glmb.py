@@ -50,7 +50,7 @@ from avcli.tracking.hypotheses import ABSENT, FEATURED, INDEPENDENT, Cluster
 from avcli.tracking.learning import SURE_HITS, Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
-from avcli.tracking.rates import Rates, logit
+from avcli.tracking.rates import CHECKED, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scales import WIDER, Scales
 from avcli.tracking.scan import Scan, distinct, likelihoods, possible, strays
@@ -248,7 +248,9 @@ class GLMB:
             score = None if score is None else score[order]
             features = {kind: one.take(order) for kind, one in (features or {}).items()}
             cells = self._seek(name, shown)
-        self.rates[self.column[name]].settle(now - self.last_record[self.column[name]])
+        known, since = self.rates[self.column[name]], now - self.last_record[self.column[name]]
+        if since > CHECKED or known.weight < 1:
+            known.settle(since)
         scan = self._scan(name, z, noise, score, features or {}, shown, cells)
         tentative = [*self.tentative, *cells]
         settings, rates = self.settings, self.rates[scan.column]
@@ -284,12 +286,13 @@ class GLMB:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
         existence, false, again = weighed(scan, unclaimed, birth, twice, more)
         if settings.learn:
-            if not full and rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
+            unknown = math.fsum(unclaimed)
+            if not full and rates.surprised(unknown, self.undetected.due(scan)):
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
-            rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
-            rates.count_unknown(math.fsum(unclaimed))
+            hits, misses = association.hits_and_misses(groups, scan)
+            rates.learn(math.fsum(false), hits, misses, math.fsum(again), unknown)
             self._learn(groups, scan)
         self.habits.log_clutter[scan.column] = math.log(max(rates.clutter, 1e-9))
         if score is not None:
@@ -317,7 +320,7 @@ class GLMB:
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = now
         self.habits.absences.record(now)
-        self._rebuild(scan, groups, revealed, now, [rates.weight * one for one in false])
+        self._rebuild(scan, groups, revealed, now, false)
         if scan.doubt is not None and scan.sensor.kind == CAMERA:
             self._believe_who_went(scan.column)
         if self.gallery.fresh and scan.evidence:
@@ -519,7 +522,7 @@ class GLMB:
     ) -> None:
         """Compute each density that is needed once, and make tentative people and clusters of them.
 
-        false: as how many false ones each of J detections counts.
+        false: J probabilities that a detection is usual clutter.
         """
         want = needed(scan, self.people, self.tentative, groups, revealed)
         people = updated(scan, self.people, want, now, self.features)
@@ -532,10 +535,14 @@ class GLMB:
             if scan.evidence:
                 new.traits = self.features.first(scan.evidence, want.fresh)
             people = Densities.join([people, new])
-        found = [*want.detected, *want.renewed, *((-1, j) for j in want.fresh)]
-        for k, (row, j) in enumerate(found, len(people) - len(found)):
-            if false[j] and (row < 0 or not self.habits.sure(self.people, row)):
-                people.counted[k, scan.column] += false[j]
+        if any(false):
+            weight, found = (
+                self.rates[scan.column].weight,
+                [*want.detected, *want.renewed, *((-1, j) for j in want.fresh)],
+            )
+            for k, (row, j) in enumerate(found, len(people) - len(found)):
+                if false[j] and (row < 0 or not self.habits.sure(self.people, row)):
+                    people.counted[k, scan.column] += weight * false[j]
         if self.record:
             people.node = [Node.fork(node, now) for node in people.node]
         self.people = people
@@ -547,7 +554,7 @@ class GLMB:
         self._bear(scan, revealed, groups, row_of, want.fresh_rows())
         self._recluster(groups, row_of)
         self.habits.confirm(self.people, self.likely_rows)
-        if self.settings.learn:
+        if self.settings.learn and np.count_nonzero(self.people.counted):
             self._give_back()
         if self.next_label >= self.pruned:
             self.pruned = self.next_label + PRUNED

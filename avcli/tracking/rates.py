@@ -48,8 +48,16 @@ class Rates:
         self.proven = False
         self._stated = sensor.clutter
 
-    def learn(self, clutter: float, hits: float, misses: float, again: float) -> None:
-        """Learn from one record: false detections, people detected, detectable people missed, people found again."""
+    def learn(self, clutter: float, hits: float, misses: float, again: float, unknown: float = 0.0) -> None:
+        """Learn from one record.
+
+        Args:
+            clutter: false detections.
+            hits, misses: people detected, and detectable ones who were missed.
+            again: further detections of the same people.
+            unknown: detections of nobody known.
+        """
+        self.unknown_sum, self.unknown_count = self.unknown_sum * KEEP + unknown, self.unknown_count * KEEP + 1
         surprises = clutter > self.clutter + SURPRISE * math.sqrt(self.clutter + 1)  # what was learnt cannot be right
         keep = REVISED if surprises else KEEP
         self.before, self.surprise = (self.clutter_sum, self.clutter_count), surprises
@@ -67,15 +75,13 @@ class Rates:
         """
         if self.before is None:
             return
-        self.weight = min(1.0, (CHECKED / max(dt, 1e-9)) ** 2)
+        self.weight = (CHECKED / dt) ** 2 if dt > CHECKED else 1.0
+        if self.weight == 1.0:
+            return
         total, count = self.before
         self.clutter_sum = total + self.weight * (self.clutter_sum - total)
         self.clutter_count = count + self.weight * (self.clutter_count - count)
         self._estimate()
-
-    def count_unknown(self, number: float) -> None:
-        """Count the detections of nobody known in one record."""
-        self.unknown_sum, self.unknown_count = self.unknown_sum * KEEP + number, self.unknown_count * KEEP + 1
 
     def most_clutter(self) -> float:
         """Return the false detections in a record if all detections of nobody known were false."""
