@@ -248,12 +248,13 @@ class GLMB:
             score = None if score is None else score[order]
             features = {kind: one.take(order) for kind, one in (features or {}).items()}
             cells = self._seek(name, shown)
-        known, since = self.rates[self.column[name]], now - self.last_record[self.column[name]]
-        if since > CHECKED or known.weight < 1:
-            known.settle(since)
+        column = self.column[name]
+        rates, since = self.rates[column], now - self.last_record[column]
+        if since > CHECKED or rates.weight < 1:
+            rates.settle(since)
         scan = self._scan(name, z, noise, score, features or {}, shown, cells)
         tentative = [*self.tentative, *cells]
-        settings, rates = self.settings, self.rates[scan.column]
+        settings = self.settings
         poisson = settings.birth == "poisson"
         from_tentative, from_undetected = first_detections(
             scan, self.people, tentative, self.likely_rows, self.population.body, poisson
