@@ -47,6 +47,7 @@ def people(states, labels):
         place=np.zeros((n, 2)),
         hits=np.ones((n, 1)),
         told=np.zeros(n),
+        counted=np.zeros((n, 1)),
         doubt=np.zeros((n, 1)),
         reach=np.zeros(n),
         common=np.zeros((n, 2, 2)),

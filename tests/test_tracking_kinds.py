@@ -136,7 +136,8 @@ def people(centre, spread=0.2):
     return Densities(
         mean=np.array([[[*centre, 0.2, 0.1]]]), cov=cov[None, None], mode=ones, existence=np.ones(1),
         detectable=ones.copy(), lean=np.zeros((1, 1)), seen=np.zeros((1, 1)), place=place, hits=np.ones((1, 1)),
-        told=np.zeros(1), doubt=np.zeros((1, 1)), reach=np.ones(1), common=np.zeros((1, 2, 2)), label=[0], node=[None],
+        told=np.zeros(1), counted=np.zeros((1, 1)), doubt=np.zeros((1, 1)), reach=np.ones(1),
+        common=np.zeros((1, 2, 2)), label=[0], node=[None],
     )  # fmt: skip
 
 

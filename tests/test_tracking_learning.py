@@ -123,6 +123,57 @@ def test_clutter_far_above_what_was_learnt_is_learnt_in_a_few_records():
     assert rates.clutter > 10
 
 
+def test_records_far_apart_hardly_teach_that_there_is_clutter():
+    """One that is full of detections may be full of people, as long as none shows soon whether they are still there."""
+
+    def learnt(dt):
+        rates = Rates(sensor("ceiling"))
+        for _ in range(5):
+            rates.settle(dt)
+            rates.learn(20.0, 1.0, 0.0, 0.0)
+        rates.settle(dt)
+        return rates.clutter
+
+    assert learnt(0.1) > 10
+    assert learnt(1.0) < 3
+
+
+def test_what_is_given_back_was_never_learnt():
+    one, other = Rates(sensor("ceiling")), Rates(sensor("ceiling"))
+    for false in (0.0, 0.9, 0.0):
+        for rates, more in ((one, false), (other, 0.0)):
+            rates.settle(0.1)
+            rates.learn(0.2 + more, 1.0, 0.0, 0.0)
+    one.give_back(0.9 * KEEP)
+    assert one.clutter == pytest.approx(other.clutter, rel=1e-3)
+    for rates in (one, other):
+        rates.settle(1.0)
+    assert one.clutter == pytest.approx(other.clutter, rel=0.01)
+    one.give_back(5.0)
+    assert one.clutter == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 10.0])
+def test_people_who_come_are_not_learnt_as_clutter(rate):
+    """Each second one comes amid a hall of 12 m x 8 m, where nobody should; .05 false detections in a record."""
+    rng, shown, there = np.random.default_rng(0), 0, 0
+    fusion = Fusion(Settings(), population=Population(area=((0.0, 0.0), (12.0, 8.0))))
+    begin, rows = np.arange(120.0), rng.uniform(1, 7, 120)
+    for k in range(int(120 * rate)):
+        walked = 3.0 + 1.3 * (k / rate - begin)
+        here = (walked >= 3.0) & (walked <= 9.0)
+        at = np.column_stack([walked[here], rows[here]])
+        found = at[rng.random(len(at)) < 0.9]
+        false = rng.uniform(0, 8, (rng.poisson(0.05), 2))
+        z = np.vstack([found + 0.12 * rng.standard_normal(found.shape), false])
+        nan = np.full((len(z), 3, 3), np.nan)
+        record = Detections(k / rate, "ceiling", np.insert(z, 2, 0.0, axis=1), nan, nan[:, 0, 0], "camera")
+        [out] = fusion.step(k / rate, [(k / rate, "ceiling", record)])
+        shown, there = shown + len(out.ids), there + len(at)
+    assert fusion.tracker.rates[0].clutter < 0.3
+    assert shown > 0.7 * there
+
+
 def test_tracks_that_clutter_began_do_not_count_as_people_who_left():
     """Twelve false detections in a record of 4.66 m x 4.66 m, and nobody: three by chance make a track."""
     rng, nan = np.random.default_rng(0), np.full((12, 3, 3), np.nan)

@@ -355,6 +355,7 @@ def newcomers(
         place=scan.z[js],
         hits=hits,
         told=np.zeros(n),
+        counted=np.zeros(able.shape),
         doubt=doubt,
         reach=uncertainty(cov[:, 0]),
         common=np.zeros((n, 2, 2)) if scan.common is None else scan.common.take(js, 0),

@@ -31,6 +31,7 @@ class Densities:
         place: (n, 2) m, where any sensor did so last.
         hits: (n, S) how often each sensor did so.
         told: (n,) nats by which these detections are likelier of one person than of clutter of 1 in a record.
+        counted: (n, S) how many of these have counted as false, in learning each sensor's clutter.
         doubt: (n, S) probability that it is nobody by the best score of each sensor, 0: some have none; of a camera
             that has never detected the person, 1 or more: by so many times nobody is likelier for that reason.
         reach: (n,) m, how uncertain the position was then.
@@ -50,6 +51,7 @@ class Densities:
     place: np.ndarray
     hits: np.ndarray
     told: np.ndarray
+    counted: np.ndarray
     doubt: np.ndarray
     reach: np.ndarray
     common: np.ndarray
@@ -75,6 +77,7 @@ class Densities:
             place=np.zeros((0, 2)),
             hits=np.zeros((0, 0)),
             told=np.zeros(0),
+            counted=np.zeros((0, 0)),
             doubt=np.zeros((0, 0)),
             reach=np.zeros(0),
             common=np.zeros((0, 2, 2)),

@@ -50,7 +50,7 @@ from avcli.tracking.hypotheses import ABSENT, FEATURED, INDEPENDENT, Cluster
 from avcli.tracking.learning import SURE_HITS, Habits
 from avcli.tracking.model import BLUR, NEAR, REPORT, THERE, Population, Track
 from avcli.tracking.posterior import needed, updated
-from avcli.tracking.rates import Rates, logit
+from avcli.tracking.rates import CHECKED, Rates, logit
 from avcli.tracking.recognition import Gallery, Left
 from avcli.tracking.scales import WIDER, Scales
 from avcli.tracking.scan import Scan, distinct, likelihoods, possible, strays
@@ -161,6 +161,7 @@ class GLMB:
         people.detectable = np.column_stack([people.detectable, np.full(len(people), sensor.detectable())])
         people.seen = np.column_stack([people.seen, np.full(len(people), NEVER)])
         people.hits = np.column_stack([people.hits, np.zeros(len(people))])
+        people.counted = np.column_stack([people.counted, np.zeros(len(people))])
         people.doubt = np.column_stack([people.doubt, np.ones(len(people))])
         if sensor.coverage is None or sensor.coverage.whole or isinstance(self.undetected, UnseenMap):
             self.undetected.add(sensor)
@@ -247,9 +248,13 @@ class GLMB:
             score = None if score is None else score[order]
             features = {kind: one.take(order) for kind, one in (features or {}).items()}
             cells = self._seek(name, shown)
+        column = self.column[name]
+        rates, since = self.rates[column], now - self.last_record[column]
+        if since > CHECKED or rates.weight < 1:
+            rates.settle(since)
         scan = self._scan(name, z, noise, score, features or {}, shown, cells)
         tentative = [*self.tentative, *cells]
-        settings, rates = self.settings, self.rates[scan.column]
+        settings = self.settings
         poisson = settings.birth == "poisson"
         from_tentative, from_undetected = first_detections(
             scan, self.people, tentative, self.likely_rows, self.population.body, poisson
@@ -282,11 +287,13 @@ class GLMB:
             self.false_places.learn(scan, self.people, self.likely_rows, birth, groups)
         existence, false, again = weighed(scan, unclaimed, birth, twice, more)
         if settings.learn:
-            if not full and rates.surprised(math.fsum(unclaimed), self.undetected.due(scan)):
+            unknown = math.fsum(unclaimed)
+            if not full and rates.surprised(unknown, self.undetected.due(scan)):
                 for _ in range(ROUNDS):
                     more = rates.clutter_with(math.fsum(false)) / scan.expected_clutter
                     existence, false, again = weighed(scan, unclaimed, birth, twice, more)
-            rates.learn(math.fsum(false), *association.hits_and_misses(groups, scan), math.fsum(again))
+            hits, misses = association.hits_and_misses(groups, scan)
+            rates.learn(math.fsum(false), hits, misses, math.fsum(again), unknown)
             self._learn(groups, scan)
         self.habits.log_clutter[scan.column] = math.log(max(rates.clutter, 1e-9))
         if score is not None:
@@ -314,7 +321,7 @@ class GLMB:
             self.journal.append({**account, "born": self.born, "died": self.died})
         self.last_record[scan.column] = now
         self.habits.absences.record(now)
-        self._rebuild(scan, groups, revealed, now)
+        self._rebuild(scan, groups, revealed, now, false)
         if scan.doubt is not None and scan.sensor.kind == CAMERA:
             self._believe_who_went(scan.column)
         if self.gallery.fresh and scan.evidence:
@@ -511,8 +518,13 @@ class GLMB:
 
     # --- the densities and hypotheses after a record ------------------------------------------------------------------
 
-    def _rebuild(self, scan: Scan, groups: list[Group], revealed: Sequence[Birth], now: float) -> None:
-        """Compute each density that is needed once, and make tentative people and clusters of them."""
+    def _rebuild(
+        self, scan: Scan, groups: list[Group], revealed: Sequence[Birth], now: float, false: Sequence[float]
+    ) -> None:
+        """Compute each density that is needed once, and make tentative people and clusters of them.
+
+        false: J probabilities that a detection is usual clutter.
+        """
         want = needed(scan, self.people, self.tentative, groups, revealed)
         people = updated(scan, self.people, want, now, self.features)
         if want.fresh:
@@ -524,6 +536,14 @@ class GLMB:
             if scan.evidence:
                 new.traits = self.features.first(scan.evidence, want.fresh)
             people = Densities.join([people, new])
+        if any(false):
+            weight, found = (
+                self.rates[scan.column].weight,
+                [*want.detected, *want.renewed, *((-1, j) for j in want.fresh)],
+            )
+            for k, (row, j) in enumerate(found, len(people) - len(found)):
+                if false[j] and (row < 0 or not self.habits.sure(self.people, row)):
+                    people.counted[k, scan.column] += weight * false[j]
         if self.record:
             people.node = [Node.fork(node, now) for node in people.node]
         self.people = people
@@ -535,10 +555,25 @@ class GLMB:
         self._bear(scan, revealed, groups, row_of, want.fresh_rows())
         self._recluster(groups, row_of)
         self.habits.confirm(self.people, self.likely_rows)
+        if self.settings.learn and np.count_nonzero(self.people.counted):
+            self._give_back()
         if self.next_label >= self.pruned:
             self.pruned = self.next_label + PRUNED
             self.habits.forget(self.people.label)
             self.false_places.forget(self.people.label)
+
+    def _give_back(self) -> None:
+        """Let detections of people who are certain by now count as false no more: that would hide who comes next.
+
+        They must be so even if all detections of nobody known were false; else people whom clutter made would say that
+        there is none.
+        """
+        people, most = self.people, [math.log(rates.most_clutter()) for rates in self.rates]
+        for row, counted in zip(self.likely_rows, people.counted.take(self.likely_rows, 0).tolist(), strict=True):
+            if any(counted) and self.habits.sure(people, row, most):
+                for rates, number in zip(self.rates, counted, strict=True):
+                    rates.give_back(number)
+                people.counted[[label == people.label[row] for label in people.label]] = 0.0
 
     def _bear(
         self,

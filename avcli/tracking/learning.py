@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from operator import mul
 from typing import Any
 
@@ -124,10 +124,13 @@ class Habits:
         if self.learn and self._begin is not None and time > self._begin + AT_START:
             self._fresh[label] = position.copy()
 
-    def sure(self, people: Densities, row: int) -> bool:
-        """Return whether the detections of a row certainly were a person's, by what is known of clutter now."""
-        hits = people.hits[row].tolist()
-        return sum(hits) >= SURE_HITS and float(people.told[row]) - sum(map(mul, hits, self.log_clutter)) > SURE
+    def sure(self, people: Densities, row: int, log_clutter: Sequence[float] | None = None) -> bool:
+        """Return whether the detections of a row certainly were a person's, by what is known of clutter now.
+
+        log_clutter: of false detections expected in a record of each sensor; None: as is known.
+        """
+        hits, log_clutter = people.hits[row].tolist(), self.log_clutter if log_clutter is None else log_clutter
+        return sum(hits) >= SURE_HITS and float(people.told[row]) - sum(map(mul, hits, log_clutter)) > SURE
 
     def confirm(self, people: Densities, rows: Iterable[int]) -> None:
         """Count the arrival of those of some rows who are certainly people by now."""

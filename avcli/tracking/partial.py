@@ -400,6 +400,7 @@ def cells(
         place=at[:, :2].copy(),
         hits=np.zeros(able.shape),
         told=np.zeros(n),
+        counted=np.zeros(able.shape),
         doubt=np.zeros(able.shape),
         reach=births.uncertainty(cov[:, 0]),
         common=np.zeros((n, 2, 2)),

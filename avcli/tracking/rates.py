@@ -16,6 +16,7 @@ PRIOR_RECORDS, PRIOR_AGAIN, PRIOR_EVENTS = 3.0, 14.0, 1.0
 PRIOR_HITS = 4.0  # detectable people, of the detection probability; 14 cost found30 1.6 (seeds 100 to 129)
 KEEP, EVENTS = 0.995, 40.0  # weight of what was learnt before, for each record; events from which they are forgotten
 SURPRISE, REVISED = 3.0, 0.25  # standard deviations of clutter in a record, from which earlier ones count so much
+CHECKED = 0.2  # s, until the next record, that tell a person from clutter: a newcomer walks as far as detections err
 AGAIN = 0.05  # expected further detections of a person whom a sensor has detected in the same record already
 MOST_AGAIN = 0.2  # of these, as far as it is believed: more would hide people in a crowd (12 people 0.25 m apart)
 OFTEN = 0.15  # of these, from which a sensor finds people again and again
@@ -38,22 +39,59 @@ class Rates:
         self.typical: float | None = None  # log odds of the scores of people
         self.clutter_sum, self.clutter_count = PRIOR_RECORDS * sensor.clutter, PRIOR_RECORDS
         self.hit_sum, self.hit_count = PRIOR_HITS * sensor.detection, PRIOR_HITS
-        self.before: tuple[float, float] | None = None  # what was known of clutter, if the last record was a surprise
+        self.before: tuple[float, float] | None = None  # what was known of clutter before the last record
+        self.unknown_sum, self.unknown_count = sensor.clutter, 1.0  # detections of nobody known, in so many records
+        self.surprise, self.weight = False, 1.0  # of the last record; of what one record teaches of clutter
         self.again, self.again_sum, self.again_count = AGAIN, PRIOR_AGAIN * AGAIN, PRIOR_AGAIN
         self.hiding = Hiding(sensor)
         self.blindness = Blindness(sensor.hide > 0, tells=sensor.kind == CAMERA)
         self.proven = False
         self._stated = sensor.clutter
 
-    def learn(self, clutter: float, hits: float, misses: float, again: float) -> None:
-        """Learn from one record: false detections, people detected, detectable people missed, people found again."""
+    def learn(self, clutter: float, hits: float, misses: float, again: float, unknown: float = 0.0) -> None:
+        """Learn from one record.
+
+        Args:
+            clutter: false detections.
+            hits, misses: people detected, and detectable ones who were missed.
+            again: further detections of the same people.
+            unknown: detections of nobody known.
+        """
+        self.unknown_sum, self.unknown_count = self.unknown_sum * KEEP + unknown, self.unknown_count * KEEP + 1
         surprises = clutter > self.clutter + SURPRISE * math.sqrt(self.clutter + 1)  # what was learnt cannot be right
         keep = REVISED if surprises else KEEP
-        self.before = (self.clutter_sum, self.clutter_count) if surprises else None
+        self.before, self.surprise = (self.clutter_sum, self.clutter_count), surprises
         self.clutter_sum, self.clutter_count = self.clutter_sum * keep + clutter, self.clutter_count * keep + 1
         self.hit_sum, self.hit_count = self.hit_sum * KEEP + hits, self.hit_count * KEEP + hits + misses
         self.again_sum, self.again_count = self.again_sum * KEEP + again, self.again_count * KEEP + hits
         self.proven = self.proven or hits > 0
+        self._estimate()
+
+    def settle(self, dt: float) -> None:
+        """Weigh what the last record taught of clutter, now that the next one is there after dt s.
+
+        A person who came walks on, and is known for one as long as the next record finds that person near. Later, new
+        people look like false detections, and those count as much less as the area in which they may be is larger.
+        """
+        if self.before is None:
+            return
+        self.weight = (CHECKED / dt) ** 2 if dt > CHECKED else 1.0
+        if self.weight == 1.0:
+            return
+        total, count = self.before
+        self.clutter_sum = total + self.weight * (self.clutter_sum - total)
+        self.clutter_count = count + self.weight * (self.clutter_count - count)
+        self._estimate()
+
+    def most_clutter(self) -> float:
+        """Return the false detections in a record if all detections of nobody known were false."""
+        return max(self.unknown_sum / self.unknown_count, 1e-9)
+
+    def give_back(self, number: float) -> None:
+        """Take back that so many detections counted as false: they were of a person who is certain by now."""
+        self.clutter_sum = max(self.clutter_sum - number, 0.0)
+        if self.before:
+            self.before = max(self.before[0] - number, 0.0), self.before[1]
         self._estimate()
 
     def surprised(self, unclaimed: float, due: float) -> bool:
@@ -72,17 +110,17 @@ class Rates:
         Not where the sensor finds people again and again in one record: those come again in the same places, too.
         """
         much = self.clutter > self._stated + SURPRISE * math.sqrt(self._stated + 1)
-        return self.before is not None or (much and self.again < OFTEN)
+        return self.surprise or (much and self.again < OFTEN)
 
     def take_back(self) -> None:
         """Forget what the last record taught of clutter: it was people."""
-        if self.before:
+        if self.surprise and self.before:
             self.clutter_sum, self.clutter_count = self.before
             self._estimate()
 
     def clutter_with(self, more: float) -> float:
         """Return the false detections to expect in a record, if a further one has so many."""
-        return (self.clutter_sum + more) / (self.clutter_count + 1)
+        return (self.clutter_sum + self.weight * more) / (self.clutter_count + self.weight)
 
     def _estimate(self) -> None:
         self.clutter = min(max(self.clutter_sum / self.clutter_count, 1e-3), 1e3)
