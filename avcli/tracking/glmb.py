@@ -537,10 +537,8 @@ class GLMB:
                 new.traits = self.features.first(scan.evidence, want.fresh)
             people = Densities.join([people, new])
         if any(false):
-            weight, found = (
-                self.rates[scan.column].weight,
-                [*want.detected, *want.renewed, *((-1, j) for j in want.fresh)],
-            )
+            weight = self.rates[scan.column].weight
+            found = [*want.detected, *want.renewed, *((-1, j) for j in want.fresh)]
             for k, (row, j) in enumerate(found, len(people) - len(found)):
                 if false[j] and (row < 0 or not self.habits.sure(self.people, row)):
                     people.counted[k, scan.column] += weight * false[j]
