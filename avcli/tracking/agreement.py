@@ -32,11 +32,13 @@ class Agreement:
         """Note what a sensor found at a time in s."""
         if math.isinf(self._begin):
             self._begin, self._due = time, time + FIRST
-        ways = np.isfinite(found.directions[:MOST, :1])
-        places = np.where(ways, np.nan, found.positions[:MOST])  # what stands beside a direction is a guess
+        places = found.positions[:MOST]
+        if found.shows_less():
+            ways = found.directions[:MOST]
+            places = np.where(np.isfinite(ways[:, :1]), np.nan, places)  # what stands beside a direction is a guess
+            if np.isfinite(ways[:, 0]).any():
+                self._ways.setdefault(name, deque()).append((time, found.origins[:MOST], ways))
         self._places.setdefault(name, deque()).append((time, places))
-        if ways.any():
-            self._ways.setdefault(name, deque()).append((time, found.origins[:MOST], found.directions[:MOST]))
         for records in (self._places, self._ways):
             while name in records and records[name] and records[name][0][0] < time - MEMORY:
                 records[name].popleft()
