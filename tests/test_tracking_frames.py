@@ -102,6 +102,12 @@ def test_sensors_that_see_other_people_have_nothing_in_common(seed, people):
     assert motion(here, there) is None
 
 
+def test_detections_of_a_single_moment_tell_nothing():
+    places = np.column_stack([np.random.default_rng(0).uniform(0, 30, (60, 2)), np.zeros(60)])
+    records = [(0.1 * k, places[k : k + 15]) for k in range(0, 60, 15)]
+    assert motion(records, records) is None
+
+
 def test_people_who_stay_where_they_are_tell_nothing():
     rng = np.random.default_rng(0)
     seated = np.broadcast_to(np.array([[1.0, 2.0], [4.0, 4.5]]), (600, 2, 2))

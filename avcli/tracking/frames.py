@@ -97,12 +97,14 @@ def motion(first: Sequence[Record], second: Sequence[Record], least: int = ENOUG
     weights = np.minimum(often, STAYS) / often
     rng = np.random.default_rng(0)
     even = (time // BLOCK).astype(int) % 2 == 0
+    if even.all() or not even.any():
+        return None
     still = np.eye(2), np.zeros(2)
     moved, away, as_it_is = (np.zeros(len(here)) for _ in range(3))
     then = np.zeros((3, len(here)))
     for finds in (even, ~even):
         tried = _tried(here[finds], there[finds], rng)
-        if not tried or finds.all():
+        if not tried:
             return None
         shares = [weights[finds] @ (_away(*one, here[finds], there[finds]) < REACH) for one in tried]
         found = _refined(*tried[int(np.argmax(shares))], here[finds], there[finds], weights[finds])
