@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from avcli.formats.records import Detections
 from avcli.tracking.agreement import Agreement
-from avcli.tracking.frames import Motion, motion, turn
+from avcli.tracking.frames import Transform, transform, turn
 
 Record = tuple[float, np.ndarray]
 STILL = np.eye(2)
@@ -43,12 +43,12 @@ def sensed(paths: np.ndarray, sd: float, share: float, rng: np.random.Generator)
 
 def of(
     people: int, matrix: np.ndarray, shift: tuple[float, float], seed: int = 0, seconds: float = 60.0
-) -> Motion | None:
+) -> Transform | None:
     """What is found of ears, and of an eye whose coordinates are turned or mirrored about (3, 3) m, and moved."""
     rng = np.random.default_rng(seed)
     paths = walked(people, seconds, rng)
     moved = (paths - 3) @ matrix.T + 3 + np.array(shift)
-    return motion(sensed(paths, 0.2, 0.8, rng), sensed(moved, 0.1, 0.95, rng))
+    return transform(sensed(paths, 0.2, 0.8, rng), sensed(moved, 0.1, 0.95, rng))
 
 
 @pytest.mark.parametrize("people", [1, 3])
@@ -84,8 +84,8 @@ def test_a_frame_that_is_turned_mirrored_or_moved_is_found(people, matrix, shift
         (turned(60) @ np.diag([1, -1]), (0, 0), "mirrored about a line at 30 degrees from x to y"),
     ],
 )
-def test_a_motion_is_said_as_the_mistake_that_makes_it(matrix, shift, says):
-    assert Motion(matrix, np.array(shift, float), np.zeros(2), 1.0, 0.9, 0.1).words() == says
+def test_a_transform_is_said_as_the_mistake_that_makes_it(matrix, shift, says):
+    assert Transform(matrix, np.array(shift, float), np.zeros(2), 1.0, 0.9, 0.1).words() == says
 
 
 @pytest.mark.parametrize("people", [1, 3, 6])
@@ -99,19 +99,19 @@ def test_frames_that_agree_to_the_noise_are_not_doubted(people, shift):
 def test_sensors_that_see_other_people_have_nothing_in_common(seed, people):
     rng = np.random.default_rng(seed)
     here, there = (sensed(walked(people, 60.0, rng), 0.15, 0.9, rng) for _ in range(2))
-    assert motion(here, there) is None
+    assert transform(here, there) is None
 
 
 def test_detections_of_a_single_moment_tell_nothing():
     places = np.column_stack([np.random.default_rng(0).uniform(0, 30, (60, 2)), np.zeros(60)])
     records = [(0.1 * k, places[k : k + 15]) for k in range(0, 60, 15)]
-    assert motion(records, records) is None
+    assert transform(records, records) is None
 
 
 def test_people_who_stay_where_they_are_tell_nothing():
     rng = np.random.default_rng(0)
     seated = np.broadcast_to(np.array([[1.0, 2.0], [4.0, 4.5]]), (600, 2, 2))
-    assert motion(sensed(seated, 0.1, 0.9, rng), sensed(seated @ turned(90).T, 0.1, 0.9, rng)) is None
+    assert transform(sensed(seated, 0.1, 0.9, rng), sensed(seated @ turned(90).T, 0.1, 0.9, rng)) is None
 
 
 @pytest.mark.parametrize("found", [np.empty((0, 3)), np.full((2, 3), np.nan)])
@@ -119,9 +119,9 @@ def test_a_sensor_without_positions_tells_nothing(found):
     rng = np.random.default_rng(0)
     others = sensed(walked(2, 60.0, rng), 0.1, 0.9, rng)
     nothing = [(time, found) for time, _ in others]
-    assert motion(nothing, others) is None
-    assert motion(others, nothing) is None
-    assert motion([], others) is None
+    assert transform(nothing, others) is None
+    assert transform(others, nothing) is None
+    assert transform([], others) is None
 
 
 def test_the_run_says_it_once_and_names_both_sensors():
@@ -195,3 +195,23 @@ def test_directions_that_point_nowhere_on_the_floor_tell_nothing(way):
     ways = [(time, ARRAY[None], np.array([way])) for time, _ in others]
     assert turn(ways, others) is None
     assert turn([(time, np.full((1, 3), np.nan), np.array([[1.0, 0.0, 0.0]])) for time, _ in others], others) is None
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 60), st.sampled_from([0.001, 1.0, 1e6]))
+def test_any_detections_are_compared_without_a_warning(seed, records, scale):
+    rng, agreement = np.random.default_rng(seed), Agreement()
+    with np.errstate(invalid="raise", divide="raise", over="raise"):
+        for time in np.cumsum(rng.choice([0.0, 0.1, 0.5, 1000.0], records, p=[0.1, 0.4, 0.45, 0.05])):
+            for name in ("ears", "eye"):
+                count = int(rng.integers(0, 30))
+                places = rng.normal(0.0, scale, (count, 3))
+                places[rng.random(count) < 0.1] = np.nan
+                given = {}
+                if name == "ears" and seed % 2:
+                    ways = rng.normal(size=(count, 3))
+                    ways[rng.random(count) < 0.2] = np.nan
+                    given = {"origins": rng.normal(0.0, scale, (count, 3)), "directions": ways}
+                agreement.take(time, name, Detections(time, name, places, np.full((count, 3, 3), np.nan), **given))
+            agreement.news(time)
+        agreement.news(time + 1e4)

@@ -340,12 +340,12 @@ def _warn_apart(
             f"the people in {_extent(truth)}: are both in metres, from the same corner?"
         )
     from avcli.tracking.clocks import REACH, offset
-    from avcli.tracking.frames import motion
+    from avcli.tracking.frames import transform
 
     ordered = (sorted(side, key=attrgetter("timestamp")) for side in (truth, tracks))
     people, found = ([(one.timestamp, one.positions) for one in side] for side in ordered)
     there = f"{name}: the tracks are where the people are,"
-    if (moved := motion(people, found)) is not None:
+    if (moved := transform(people, found)) is not None:
         fits, as_it_is = f"{moved.fits:.0%} within {REACH:g} m", f"as they are {moved.as_it_is:.0%}"
         session.warn(f"{there} {moved.words()} ({fits}; {as_it_is}): do the coordinates agree?")
     elif (late := offset(people, found)) is not None:

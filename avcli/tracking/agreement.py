@@ -11,7 +11,7 @@ import numpy as np
 
 from avcli.formats.records import Detections
 from avcli.tracking.clocks import REACH, offset
-from avcli.tracking.frames import CIRCLE, Motion, motion, turn
+from avcli.tracking.frames import CIRCLE, Transform, transform, turn
 
 MEMORY = 120.0  # s of detections that are compared
 FIRST, SELDOM = 10.0, 600.0  # s until the first comparison, and at most between two of them
@@ -74,7 +74,7 @@ class Agreement:
     def _apart(self, first: str, second: str) -> list[str]:
         """Return a sentence on two sensors that find people at other times or in other places."""
         few, many = (sorted(self._places[name], key=itemgetter(0)) for name in (first, second))
-        late, moved = offset(few, many), motion(few, many)
+        late, moved = offset(few, many), transform(few, many)
         if late is not None and (moved is None or late.fits >= moved.fits):
             before, after = (first, second) if late.seconds > 0 else (second, first)
             return [
@@ -88,7 +88,7 @@ class Agreement:
         return sum([len(positions) for _, positions in self._places[name]]), name
 
 
-def _said(first: str, second: str, found: Motion, within: str) -> str:
+def _said(first: str, second: str, found: Transform, within: str) -> str:
     return (
         f"sensor {second!r} finds people where {first!r} finds them, {found.words()} "
         f"({found.fits:.0%} within {within}; as they are {found.as_it_is:.0%}): do their coordinates agree?"

@@ -14,15 +14,15 @@ import numpy as np
 
 REACH, AT_ONCE = 0.5, 0.25  # m and s within which it is one person at one time
 NEAR = 0.1, 0.35  # m, from and to: how far the places of one person by two sensors are apart
-APART, BLOCK = 0.4, 3.0  # s between two records that count; s, spells that find a motion and judge it in turn
+APART, SPELLS = 0.4, 20  # s between two records that count; spells of time that find a transform and judge it in turn
 CELL, STAYS = 0.5, 4  # m, and how many detections of one such cell count: who stays in a place tells little
 ENOUGH, MOST = 24, 600  # cells with detections from which anything is said; detections that are compared
 CIRCLE, AROUND = 2.0, 8  # m, radius of the circle on which directions are compared; cells of it from which
 STEEP = 0.3  # horizontal part of a direction up to which it points nowhere on the floor
 CROWD = 20  # people in a record from which somebody is near by chance
-TRIED, BASE = 300, 1.0  # motions that are tried, and m between the two places that give one
+TRIED, BASE = 300, 1.0  # transforms that are tried, and m between the two places that give one
 
-# Chosen on the cases of bench-tracking and eleven sets of real walks (seeds from 100): no false alarm in 85 runs.
+# Chosen on the cases of bench-tracking and eleven sets of real walks (seeds from 100): no false alarm in 189 runs.
 MOVED, FITS, SURE = 0.3, 0.5, 4.5  # m on average; share that fits; standard deviations by which it fits better
 
 PLAIN = 5.0  # degrees
@@ -38,7 +38,7 @@ MIRRORS = {
 Record = tuple[float, np.ndarray]  # s, and positions (n, 2 or more) m, NaN where unknown
 
 
-class Motion(NamedTuple):
+class Transform(NamedTuple):
     """How the places of one sensor become those of another one.
 
     Attributes:
@@ -47,7 +47,7 @@ class Motion(NamedTuple):
         middle: (2,) m, of the first one's places.
         moved: m between the two, on average.
         fits: share of the first one's places at which the second one finds somebody then.
-        as_it_is: the same share without the motion.
+        as_it_is: the same share without it.
     """
 
     matrix: np.ndarray
@@ -73,12 +73,12 @@ class Motion(NamedTuple):
         return f"turned by {turned:.0f} degrees from x to y about ({x:z.1f}, {y:z.1f}) m"
 
 
-def motion(first: Sequence[Record], second: Sequence[Record], least: int = ENOUGH) -> Motion | None:
+def transform(first: Sequence[Record], second: Sequence[Record], least: int = ENOUGH) -> Transform | None:
     """Find how the coordinate frames of two sensors certainly differ.
 
-    Two places of the first sensor and two of the second one that are as far apart give a motion, and its mirror image
-    another one (Fischler and Bolles 1981). The best of many is refined on the nearest places (Kabsch 1976), and judged
-    by other spells of time than those that found it: it must fit better than no motion, and better than what the
+    Two places of the first sensor and two of the second one that are as far apart give a transform, and its mirror
+    image another one (Fischler and Bolles 1981). The best of many is refined on the nearest places (Kabsch 1976), and
+    judged by other spells of time than those that found it: it must fit better than none, and better than what the
     second sensor finds at other times.
 
     Args:
@@ -89,16 +89,14 @@ def motion(first: Sequence[Record], second: Sequence[Record], least: int = ENOUG
     Returns:
         None: they agree, or nobody can tell.
     """
-    here, there, time = _at_once(first, second)
+    here, there = _at_once(first, second)
     cells = np.unique((here / CELL).round(), axis=0, return_inverse=True)[1]
     if not len(here) or cells.max() < least:
         return None
     often = np.bincount(cells)[cells]
     weights = np.minimum(often, STAYS) / often
     rng = np.random.default_rng(0)
-    even = (time // BLOCK).astype(int) % 2 == 0
-    if even.all() or not even.any():
-        return None
+    even = np.arange(len(here)) * min(SPELLS, len(here) // 2) // len(here) % 2 == 0
     still = np.eye(2), np.zeros(2)
     moved, away, as_it_is = (np.zeros(len(here)) for _ in range(3))
     then = np.zeros((3, len(here)))
@@ -114,7 +112,7 @@ def motion(first: Sequence[Record], second: Sequence[Record], least: int = ENOUG
         for k, at_other_times in enumerate(then, 1):
             at_other_times[~finds] = _away(*found, rest, np.roll(others, k * len(others) // 4, 0))
     average = weights / weights.sum()
-    result = Motion(
+    result = Transform(
         *_refined(*found, here, there, weights), average @ here,
         float(average @ moved), float(average @ (away < REACH)), float(average @ (as_it_is < REACH)),
     )  # fmt: skip
@@ -122,8 +120,8 @@ def motion(first: Sequence[Record], second: Sequence[Record], least: int = ENOUG
     return result if result.moved >= MOVED and result.fits >= FITS and surer > SURE else None
 
 
-def turn(first: Sequence[tuple[float, np.ndarray, np.ndarray]], second: Sequence[Record]) -> Motion | None:
-    """Find how a sensor of directions is turned or mirrored against one of places, see `motion`.
+def turn(first: Sequence[tuple[float, np.ndarray, np.ndarray]], second: Sequence[Record]) -> Transform | None:
+    """Find how a sensor of directions is turned or mirrored against one of places, see `transform`.
 
     Args:
         first: records of the sensor of directions, in order of time: s, origins and directions (n, 2 or more).
@@ -138,7 +136,7 @@ def turn(first: Sequence[tuple[float, np.ndarray, np.ndarray]], second: Sequence
     origin = np.nanmedian(origins, axis=0)
     here = [(time, _on_circle(directions[:, :2], STEEP)) for time, _, directions in first]
     there = [(time, _on_circle(positions[:, :2] - origin, 0.0)) for time, positions in second]
-    found = motion(here, there, AROUND)
+    found = transform(here, there, AROUND)
     return found and found._replace(shift=origin - found.matrix @ origin, middle=origin)
 
 
@@ -156,15 +154,15 @@ def _surer(away: np.ndarray, other: np.ndarray, weights: np.ndarray) -> float:
     return float(mean * weights.sum() / math.sqrt(np.square(weights) @ np.square(gain - mean) + 1e-9))
 
 
-def _at_once(first: Sequence[Record], second: Sequence[Record]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return places (n, 2) m of the first sensor, those (n, m, 2) of the second one then, inf where none, and times."""
+def _at_once(first: Sequence[Record], second: Sequence[Record]) -> tuple[np.ndarray, np.ndarray]:
+    """Return places (n, 2) m of the first sensor, and those (n, m, 2) of the second one then, inf where none."""
     times = np.array([time for time, _ in second])
     here: list[np.ndarray] = []
     there: list[np.ndarray] = []
-    when: list[float] = []
+    last = -math.inf
     for time, positions in first:
         known = positions[np.isfinite(positions[:, :2]).all(1), :2]
-        if not len(known) or not len(times) or (when and time - when[-1] < APART):
+        if not len(known) or not len(times) or time - last < APART:
             continue
         near = int(np.abs(times - time).argmin())
         found = second[near][1]
@@ -172,16 +170,17 @@ def _at_once(first: Sequence[Record], second: Sequence[Record]) -> tuple[np.ndar
         if abs(times[near] - time) <= AT_ONCE and 0 < len(found) <= CROWD:
             here += list(known)
             there += [found] * len(known)
-            when += [time] * len(known)
+            last = time
     kept = slice(None, None, max(len(here) // MOST, 1))
+    here, there = here[kept], there[kept]
     padded = np.full((len(here), max(map(len, there), default=1), 2), np.inf)
     for row, found in zip(padded, there, strict=True):
         row[: len(found)] = found
-    return np.array(here).reshape(-1, 2)[kept], padded[kept], np.array(when)[kept]
+    return np.array(here).reshape(-1, 2), padded
 
 
 def _tried(here: np.ndarray, there: np.ndarray, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return motions by two places each: matrices (2, 2), and shifts (2,) m."""
+    """Return transforms by two places each: matrices (2, 2), and shifts (2,) m."""
     out: list[tuple[np.ndarray, np.ndarray]] = []
     found = np.isfinite(there[:, :, 0]).sum(1)
     for i, j in rng.integers(len(here), size=(20 * TRIED, 2)):
@@ -201,14 +200,14 @@ def _tried(here: np.ndarray, there: np.ndarray, rng: np.random.Generator) -> lis
 
 
 def _away(matrix: np.ndarray, shift: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Return how far (n,) m each place is from the nearest of the other sensor after a motion."""
+    """Return how far (n,) m each place is from the nearest of the other sensor after a transform."""
     return np.asarray(np.sqrt(np.square(there - (here @ matrix.T + shift)[:, None]).sum(2).min(1)))
 
 
 def _refined(
     matrix: np.ndarray, shift: np.ndarray, here: np.ndarray, there: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the motion that fits best, in the least squares, to the places that are within reach."""
+    """Return the transform that fits best, in the least squares, to the places that are within reach."""
     parity = round(np.linalg.det(matrix))
     for _ in range(5):
         away = np.square(there - (here @ matrix.T + shift)[:, None]).sum(2)
